@@ -1,0 +1,1 @@
+"""Artifacts, schemas, store, keys and the stage shim."""

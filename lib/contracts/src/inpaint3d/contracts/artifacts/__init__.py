@@ -1,0 +1,64 @@
+"""Every artifact that stages exchange: one metadata model each, under a versioned schema id.
+
+The metadata names the files that hold the bulk; file layouts are described in each model. `SCHEMAS` is the registry.
+"""
+
+from inpaint3d.contracts.artifacts.capture import Capture, CapturedFrame, Exif, KnownCamera, Truth
+from inpaint3d.contracts.artifacts.effects import Effect, EffectPlan
+from inpaint3d.contracts.artifacts.external import ImageCorpus, MaskRequestArtifact, Source
+from inpaint3d.contracts.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
+from inpaint3d.contracts.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
+from inpaint3d.contracts.artifacts.posed import LensModel, PosedCapture, PosedFrame, PosedTruth, Registration
+from inpaint3d.contracts.artifacts.prior import DiffusionPrior, PriorSpec
+from inpaint3d.contracts.artifacts.results import Evaluation, Metric, Protocol, UsdScene
+from inpaint3d.contracts.model import Closed
+
+SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
+    "source": ("1.0", Source),
+    "mask-request": ("1.0", MaskRequestArtifact),
+    "image-corpus": ("1.0", ImageCorpus),
+    "capture": ("1.0", Capture),
+    "truth": ("1.0", Truth),
+    "posed-capture": ("1.0", PosedCapture),
+    "posed-truth": ("1.0", PosedTruth),
+    "effect-plan": ("1.0", EffectPlan),
+    "radiance-field": ("1.0", RadianceFieldArtifact),
+    "mask-set": ("1.0", MaskSet),
+    "diffusion-prior": ("1.0", DiffusionPrior),
+    "evaluation": ("1.0", Evaluation),
+    "usd-scene": ("1.0", UsdScene),
+}
+"""Artifact name -> (MAJOR.MINOR that this code writes, metadata model)."""
+
+__all__ = [
+    "SCHEMAS",
+    "Capture",
+    "CapturedFrame",
+    "DiffusionPrior",
+    "Effect",
+    "EffectPlan",
+    "Evaluation",
+    "Exif",
+    "FieldSpec",
+    "FieldView",
+    "GridSpec",
+    "ImageCorpus",
+    "KnownCamera",
+    "LensModel",
+    "MaskRequest",
+    "MaskRequestArtifact",
+    "MaskSet",
+    "MaskView",
+    "Metric",
+    "PosedCapture",
+    "PosedFrame",
+    "PosedTruth",
+    "Primitive",
+    "PriorSpec",
+    "Protocol",
+    "RadianceFieldArtifact",
+    "Registration",
+    "Source",
+    "Truth",
+    "UsdScene",
+]

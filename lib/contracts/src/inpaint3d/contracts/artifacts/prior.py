@@ -1,0 +1,44 @@
+"""A 2D inpainting diffusion prior: architecture, how it was trained, weights."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, Finite, Positive, RelativePath, Share
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class PriorSpec(Closed):
+    """Architecture and query convention of a prior (conformance D5 to D11). It is queried exactly as it was trained."""
+
+    size: Count = Field(default=256, description="side of the square it was trained on, pixels")
+    width: Count = Field(default=128, description="channels at full resolution")
+    multipliers: tuple[Count, ...] = (1, 2, 4, 8)
+    blocks: tuple[Count, ...] = (2, 4, 8, 8)
+    attention: tuple[bool, ...] = (False, False, False, True)
+    packing: Count = Field(default=1, description="space-to-depth factor before the first convolution")
+    condition: Literal["noise-fill", "mask-channel"] = Field(
+        default="noise-fill", description="how the hole is shown: filled with noise (D5), or a mask channel and a classical fill"
+    )
+    known: Literal["noised", "clean"] = Field(default="noised", description="what z_t holds in the known region (D9)")
+    loss_region: Literal["all", "hole"] = "all"
+    prediction: Literal["eps", "v", "x0"] = "eps"
+    schedule: Literal["cosine"] = "cosine"
+    log_snr_clamp: Positive = 20.0
+    condition_dropout: Share = 0.1
+
+
+class DiffusionPrior(Closed):
+    """EMA weights (`weights.safetensors`), spec, `training_curve.csv` (step, loss, held_out_loss), sample grids."""
+
+    spec: PriorSpec
+    weights: RelativePath = "weights.safetensors"
+    training_curve: RelativePath = "training_curve.csv"
+    samples: tuple[RelativePath, ...] = Field(default=(), description="grids: masked, sample, truth")
+    steps: int
+    seed: int
+    trained_on: str = Field(description="what pictures, how many, which pixels")
+    start: str = Field(default="scratch", description="'scratch' or the digest of the prior it was fine-tuned from")
+    held_out: dict[str, Finite] = Field(default={}, description="figures on held-out crops, by name")
+    non_finite: dict[str, int] = {}

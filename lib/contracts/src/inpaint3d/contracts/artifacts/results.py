@@ -1,0 +1,54 @@
+"""What a run is judged by, and what a production takes away."""
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, Finite, RelativePath, Vector3
+
+
+class Metric(Closed):
+    """One figure of one method under one protocol."""
+
+    method: str = Field(description="label of the radiance field, or the name of an image baseline")
+    name: str = Field(description="psnr, ssim, lpips_vgg, lpips_alex, fd_lite0, kid_lite0, ...")
+    value: Finite
+    unit: str = Field(description="'dB', '1'")
+    better: str = Field(description="'higher' or 'lower'")
+    views: int = Field(description="over how many views")
+
+
+class Protocol(Closed):
+    """What was measured on what, in words, and the figures."""
+
+    name: str = Field(description="e.g. 'hole-box-vs-truth', 'held-out-known-pixels'")
+    description: str
+    metrics: tuple[Metric, ...]
+
+
+class Evaluation(Closed):
+    """Figures by protocol; `per_view.csv`, `pictures/`, and a self-contained `report.html`.
+
+    The report has one line `<!-- inpaint3d:run -->` where the orchestrator puts the run's times, which are not part of the
+    artifact.
+    """
+
+    protocols: tuple[Protocol, ...]
+    per_view: RelativePath = "per_view.csv"
+    report: RelativePath = "report.html"
+    pictures: tuple[RelativePath, ...] = ()
+    non_finite: dict[str, int] = {}
+
+
+class UsdScene(Closed):
+    """`scene.usdz` (mesh, textures, cameras, masks) and `scene.usdc` with `textures/` beside it."""
+
+    package: RelativePath = "scene.usdz"
+    layer: RelativePath = "scene.usdc"
+    textures: tuple[RelativePath, ...] = ()
+    triangles: int
+    cameras: int
+    variants: tuple[str, ...] = Field(default=(), description="e.g. 'inpainted', 'original', 'mask'")
+    bounds_min: Vector3
+    bounds_max: Vector3
+    metres_per_unit: float = Field(default=1.0, description="scene units are not metric unless the source was")
+    validation: RelativePath = "validation.json"
+    validation_errors: int

@@ -1,0 +1,31 @@
+"""The closed, frozen base of every contract model, and the primitive types that they share."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+Digest = Annotated[str, StringConstraints(pattern=r"^sha256:[0-9a-f]{64}$")]
+RelativePath = Annotated[
+    str,
+    # Forward slashes, no leading slash, no "..": a path can never leave its artifact.
+    StringConstraints(pattern=r"^[A-Za-z0-9_.@+-][A-Za-z0-9_.@+ -]*(/[A-Za-z0-9_@+-][A-Za-z0-9_.@+ -]*)*$"),
+]
+PortName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*$")]
+FrameName = Annotated[
+    str, Field(description="stem of the picture, unique in its artifact"), StringConstraints(pattern=r"^[^/\\]+$")
+]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1, description="a share, 0 to 1")]
+Vector3 = tuple[Finite, Finite, Finite]
+Row4 = tuple[Finite, Finite, Finite, Finite]
+Pose = Annotated[
+    tuple[Row4, Row4, Row4],
+    Field(description="world_from_cam, 3x4 row-major, OpenCV axes (x right, y down, z forward)"),
+]
+
+
+class Closed(BaseModel):
+    """A model that refuses fields it does not know (a typo is an error) and never changes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")

@@ -1,0 +1,1 @@
+"""Diffusion inpainting priors: schedules, denoisers, samplers, distillation."""

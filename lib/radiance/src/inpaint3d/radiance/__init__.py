@@ -1,0 +1,1 @@
+"""Radiance fields: rays, sampling, fields, volume rendering, losses."""

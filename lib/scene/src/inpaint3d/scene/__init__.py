@@ -1,0 +1,1 @@
+"""Cameras, colour, image files, geometry and reprojection in numpy."""

@@ -1,0 +1,1 @@
+"""Photos, a video or a dataset become a capture."""

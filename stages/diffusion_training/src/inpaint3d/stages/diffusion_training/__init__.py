@@ -1,0 +1,1 @@
+"""A 2D inpainting diffusion prior."""

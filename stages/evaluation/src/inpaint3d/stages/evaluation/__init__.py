@@ -1,0 +1,1 @@
+"""Metrics by named protocols, pictures and a report."""

@@ -1,0 +1,1 @@
+"""The inpainted scene as USD."""
