@@ -1,0 +1,156 @@
+"""The readable truth of every heavy operation; `native` must match it forward and backward."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from inpaint3d.radiance.volume import alpha_weights
+
+# Instant-NGP's spatial hash (arXiv:2201.05989, eq. 4).
+PRIMES = (1, 2654435761, 805459861)
+
+
+class Level(NamedTuple):
+    """One resolution of a hash grid; its vertices lie at (i, j, k) / resolution, 0 <= i, j, k <= resolution."""
+
+    resolution: int  # cells per side
+    offset: int  # first entry in the table
+    size: int  # entries
+    dense: bool  # one entry per vertex, x fastest; else `size` is a power of two and vertices share by hash
+
+
+def levels_of(levels: int, coarsest: int, finest: int, log2_table: int) -> tuple[Level, ...]:
+    """Lay `levels` resolutions, geometric from coarsest to finest, out in one table.
+
+    A level is dense where its (resolution + 1)^3 vertices fit 2^log2_table entries (conformance N3).
+    """
+    growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
+    laid_out: list[Level] = []
+    offset = 0
+    for index in range(levels):
+        resolution = round(coarsest * growth**index)
+        dense = (resolution + 1) ** 3 <= 2**log2_table
+        size = (resolution + 1) ** 3 if dense else 2**log2_table
+        laid_out.append(Level(resolution, offset, size, dense))
+        offset += size
+    return tuple(laid_out)
+
+
+def corners(points: Float[Tensor, "3 n"], level: Level) -> tuple[Int64[Tensor, "8 n"], Float[Tensor, "8 n"]]:
+    """Entries, counted from the level's own first, of the eight corners around each point; their trilinear weights.
+
+    Corners count x fastest. Points come last so that every operation runs along memory.
+    """
+    scaled = points * level.resolution
+    low = scaled.detach().floor().clamp_(0, level.resolution - 1)
+    share = torch.stack([low + 1 - scaled, scaled - low])  # [2, 3, n]
+    vertex = torch.stack([low, low + 1]).long()
+    weights = share[:, None, None, 2] * share[None, :, None, 1] * share[None, None, :, 0]
+    x, y, z = vertex[None, None, :, 0], vertex[None, :, None, 1], vertex[:, None, None, 2]
+    if level.dense:
+        side = level.resolution + 1
+        entry = x + (side * y + (side * side) * z)
+    else:
+        # Instant-NGP multiplies in 32 bits. int64 products never wrap here, and the mask keeps only low bits.
+        last = level.size - 1
+        entry = (x * PRIMES[0] & last) ^ ((y * PRIMES[1] & last) ^ (z * PRIMES[2] & last))
+    return entry.reshape(8, -1), weights.reshape(8, -1)
+
+
+def hash_encode(
+    points: Float[Tensor, "n 3"], table: Float[Tensor, "entries c"], levels: Sequence[Level]
+) -> Float[Tensor, "n {len(levels)}*c"]:
+    """Features of a multiresolution hash grid, trilinear (Instant-NGP, arXiv:2201.05989).
+
+    points lie in [0, 1] (outside, the border cell extrapolates). Level 0's c channels come first. Differentiable in
+    the table and, where they ask for it, in the points.
+    """
+    along = points.T.contiguous()
+    features: list[Tensor] = []
+    for part, level in zip(table.split([level.size for level in levels]), levels, strict=True):
+        entry, weights = corners(along, level)
+        # One plane per channel: gathering, and adding gradients back, is several times faster than in rows of c.
+        gathered = part.T.contiguous().index_select(1, entry.reshape(-1)).reshape(-1, 8, len(points))
+        features.append((gathered * weights).sum(1))
+    return torch.cat(features).T
+
+
+def mlp(
+    x: Float[Tensor, "n i"],
+    weights: Sequence[Float[Tensor, "_ _"]],
+    biases: Sequence[Float[Tensor, " _"]] | None = None,
+    activation: Literal["relu"] = "relu",
+) -> Float[Tensor, "n {weights[-1].shape[0]}"]:
+    """A fully connected network: weights [out, in]; ReLU between layers, the last one linear."""
+    if activation != "relu":
+        raise ValueError(f"activation {activation!r} is unknown; use 'relu'")
+    for layer, weight in enumerate(weights):
+        x = F.linear(F.relu(x) if layer else x, weight, None if biases is None else biases[layer])
+    return x
+
+
+def composite(
+    density: Float[Tensor, "r s"], rgb: Float[Tensor, "r s 3"], tdist: Float[Tensor, "r s+1"]
+) -> tuple[Float[Tensor, "r s"], Float[Tensor, "r 3"], Float[Tensor, " r"], Float[Tensor, " r"]]:
+    """Volume rendering over no background: weights, colour, opacity, and the sum of weights x middle distance.
+
+    density per scene unit, tdist interval ends along unit-length rays; the last is not divided by opacity.
+    """
+    weights = alpha_weights(density, tdist)
+    middle = (tdist[:, 1:] + tdist[:, :-1]) / 2
+    return weights, (weights[..., None] * rgb).sum(1), weights.sum(1), (weights * middle).sum(1)
+
+
+@torch.no_grad()
+def resample(
+    sdist: Float[Tensor, "r ends"],
+    weights: Float[Tensor, "r ends-1"],
+    count: int,
+    jitter: Float[Tensor, "r {count}"] | None = None,
+) -> Float[Tensor, "r {count}+1"]:
+    """Draw `count` >= 2 new intervals where the histogram has weight (Mip-NeRF 360, arXiv:2111.12077, appendix).
+
+    One centre per stratum of the inverse CDF, at `jitter` (in [0, 1)) of the stratum, in its middle where that is None;
+    the ends lie halfway between centres. Sorted, within [sdist[0], sdist[-1]]. No gradient.
+    """
+    if count < 2:
+        raise ValueError(f"resample draws at least 2 intervals, not {count}")
+    # Keeps empty rays well defined: they are sampled evenly in s. Zero-width intervals still get nothing.
+    mass = weights + torch.finfo(weights.dtype).eps * torch.diff(sdist)
+    cdf = F.pad(torch.cumsum(mass, -1), (1, 0))
+    cdf = cdf / cdf[:, -1:]
+    stratum = torch.arange(count, dtype=sdist.dtype, device=sdist.device)
+    u = ((stratum + (0.5 if jitter is None else jitter)) / count).expand(len(sdist), count).contiguous()
+    right = torch.searchsorted(cdf, u, right=True).clamp_(1, weights.shape[1])
+    cdf_low, cdf_high = cdf.gather(1, right - 1), cdf.gather(1, right)
+    s_low, s_high = sdist.gather(1, right - 1), sdist.gather(1, right)
+    gap = cdf_high - cdf_low
+    share = ((u - cdf_low) / torch.where(gap > 0, gap, 1)).clamp_(0, 1)
+    centres = s_low + share * (s_high - s_low)
+    middles = (centres[:, 1:] + centres[:, :-1]) / 2
+    first = torch.maximum(2 * centres[:, :1] - middles[:, :1], sdist[:, :1])
+    last = torch.minimum(2 * centres[:, -1:] - middles[:, -1:], sdist[:, -1:])
+    return torch.cat([first, middles, last], 1)
+
+
+@torch.no_grad()
+def adam_step(
+    param: Float[Tensor, "*shape"],
+    grad: Float[Tensor, "*shape"],
+    m: Float[Tensor, "*shape"],
+    v: Float[Tensor, "*shape"],
+    step: int,
+    lr: float,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
+    """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v; `step` counts from 1."""
+    m.lerp_(grad, 1 - beta1)
+    v.mul_(beta2).addcmul_(grad, grad, value=1 - beta2)
+    divisor = (v / (1 - beta2**step)).sqrt_().add_(eps)
+    param.addcdiv_(m, divisor, value=-lr / (1 - beta1**step))
