@@ -50,7 +50,8 @@ class FieldView(Closed):
 
 
 class RadianceFieldArtifact(Closed):
-    """Weights (`weights.safetensors`), architecture, per-view renders, learning curve.
+    """
+    Weights (`weights.safetensors`), architecture, per-view renders, learning curve.
 
     `learning_curve.csv`: step, rays, loss, psnr (held-out views, dB; empty where none was rendered). Wall and CPU times of
     the same steps are in the sidecar of the run, since equal results must have equal digests.
@@ -65,5 +66,7 @@ class RadianceFieldArtifact(Closed):
     seed: int
     backend: str
     held_out_psnr: Finite | None = Field(default=None, description="dB, mean over test views (known pixels)")
-    decisions: dict[str, str] = Field(default={}, description="effects decided here (those that need the mask), with reasons")
+    decisions: dict[str, str] = Field(
+        default={}, description="effects decided here (those that need the mask), with reasons"
+    )
     non_finite: dict[str, int] = Field(default={}, description="non-finite values met, by place; empty = none")

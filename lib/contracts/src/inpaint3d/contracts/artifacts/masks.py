@@ -15,7 +15,9 @@ class SphereRequest(Closed):
     kind: Literal["sphere"]
     centre: Vector3 | None = Field(default=None, description="scene units; None: on the centre camera's axis")
     distance: Positive = Field(default=1.0, description="along the axis, as a fraction of the median depth there")
-    radius: Positive = Field(default=0.25, description="as a fraction of the median depth (of scene units with `centre`)")
+    radius: Positive = Field(
+        default=0.25, description="as a fraction of the median depth (of scene units with `centre`)"
+    )
 
 
 class BoxRequest(Closed):
@@ -36,7 +38,8 @@ class ObjectRequest(Closed):
     background: tuple[Pixel, ...] = Field(default=(), description="pixels not on the object")
     box: tuple[Finite, Finite, Finite, Finite] | None = Field(default=None, description="x0, y0, x1, y1")
     frame_size: tuple[int, int] | None = Field(
-        default=None, description="width, height of the picture the pixels were read on; None: the posed frame"
+        default=None,
+        description="width, height of the picture the pixels were read on; None: the posed frame",
     )
 
 

@@ -19,11 +19,23 @@ class PriorSpec(Closed):
     attention: tuple[bool, ...] = (False, False, False, True)
     packing: Count = Field(default=1, description="space-to-depth factor before the first convolution")
     condition: Literal["noise-fill", "mask-channel"] = Field(
-        default="noise-fill", description="how the hole is shown: filled with noise (D5), or a mask channel and a classical fill"
+        default="noise-fill",
+        description="how the hole is shown: filled with noise (D5), or a mask channel and a classical fill",
     )
     known: Literal["noised", "clean"] = Field(default="noised", description="what z_t holds in the known region (D9)")
     loss_region: Literal["all", "hole"] = "all"
-    prediction: Literal["eps", "v", "x0"] = "eps"
+    fill: Literal["pyramid"] = Field(
+        default="pyramid",
+        description="mask-channel only: what the hole holds in the condition; 'pyramid': push-pull",
+    )
+    prediction: Literal["eps", "v", "x0", "residual"] = Field(
+        default="eps",
+        description="what the network's output means; 'residual': EDM preconditioning about the fill",
+    )
+    residual_std: Positive = Field(
+        default=0.3,
+        description="residual only: spread of the picture about the fill, pixel values in [-1, 1]",
+    )
     schedule: Literal["cosine"] = "cosine"
     log_snr_clamp: Positive = 20.0
     condition_dropout: Share = 0.1

@@ -1,0 +1,46 @@
+"""One byte string for one value: canonical JSON, and sha256 over files and values."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from inpaint3d.contracts.errors import ConfigurationError
+
+CHUNK = 1 << 20
+
+
+def canonical_json(value: Any) -> bytes:
+    """Sorted keys, no white space, UTF-8, shortest floats; NaN and infinity are refused (RFC 8785 in spirit)."""
+    try:
+        text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    except ValueError as error:
+        raise ConfigurationError(f"a value cannot be written as JSON ({error}); use finite numbers") from error
+    return text.encode()
+
+
+def digest_of(value: Any) -> str:
+    """`sha256:…` of a value's canonical JSON."""
+    return "sha256:" + hashlib.sha256(canonical_json(value)).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """`sha256:…` of a file's bytes."""
+    sha = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(CHUNK):
+            sha.update(chunk)
+    return "sha256:" + sha.hexdigest()
+
+
+def tree_digest(root: Path, suffixes: tuple[str, ...] | None = None) -> str:
+    """`sha256:…` over the relative paths and bytes of a folder's files (caches and hidden files left out)."""
+    files = sorted(
+        p
+        for p in root.rglob("*")
+        if p.is_file()
+        and "__pycache__" not in p.parts
+        and not any(part.startswith(".") for part in p.relative_to(root).parts)
+        and (suffixes is None or p.suffix in suffixes)
+    )
+    return digest_of([[p.relative_to(root).as_posix(), file_digest(p)] for p in files])

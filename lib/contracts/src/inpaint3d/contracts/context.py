@@ -1,0 +1,177 @@
+"""What a stage is given to work with: its inputs, its outputs, and the context of the run."""
+
+import json
+import os
+import resource
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from inpaint3d.contracts.canonical import canonical_json
+from inpaint3d.contracts.errors import ArtifactError, InterruptedRun
+from inpaint3d.contracts.manifest import compatible
+from inpaint3d.contracts.model import Closed, Digest
+from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.store import Artifact, Store
+
+M = TypeVar("M", bound=Closed)
+
+PROGRESS_INTERVAL_S = 0.2
+CLOCK_INTERVAL_S = 2.0
+
+
+class Inputs:
+    """A stage's input artifacts by port, verified against their digests before they are read."""
+
+    def __init__(self, store: Store, spec: StageSpec, digests: Mapping[str, Digest | list[Digest]]) -> None:
+        self._store, self._spec, self._digests = store, spec, digests
+
+    def one(self, port: str, model: type[M]) -> Artifact[M]:
+        """The artifact at a port; ArtifactError where it is missing or of another schema."""
+        artifact = self.optional(port, model)
+        if artifact is None:
+            raise ArtifactError(f"{self._spec.id}: no artifact at its input {port}; run the stage that writes it")
+        return artifact
+
+    def optional(self, port: str, model: type[M]) -> Artifact[M] | None:
+        """The artifact at an optional port, or None."""
+        digest = self._digests.get(port)
+        if digest is None or isinstance(digest, list):
+            return None
+        return self._open(port, digest, model)
+
+    def many(self, port: str, model: type[M]) -> list[Artifact[M]]:
+        """The artifacts at a list port, in the order they are wired."""
+        digests = self._digests.get(port, [])
+        return [self._open(port, d, model) for d in ([digests] if isinstance(digests, str) else digests)]
+
+    def _open(self, port: str, digest: Digest, model: type[M]) -> Artifact[M]:
+        wanted = self._spec.spec.inputs[port].schema_range
+        written = self._store.manifest(digest).schema_id
+        if not compatible(written, wanted):
+            raise ArtifactError(f"{self._spec.id}: its input {port} takes {wanted}, got {written} ({digest})")
+        return self._store.open(digest, model)
+
+
+class Outputs:
+    """A stage's outputs: a private folder for each port, made an artifact by `write`, visible only when all is done."""
+
+    def __init__(self, store: Store, spec: StageSpec) -> None:
+        self._store, self._spec = store, spec
+        self._folders: dict[str, Path] = {}
+        self._written: dict[str, Closed] = {}
+
+    def folder(self, port: str) -> Path:
+        """The private folder of a port; subfolders are the stage's to make."""
+        if port not in self._spec.spec.outputs:
+            raise ArtifactError(f"{self._spec.id} declares no output {port}")
+        if port not in self._folders:
+            self._folders[port] = self._store.private_folder()
+        return self._folders[port]
+
+    def write(self, port: str, metadata: Closed) -> None:
+        """Declare a port's folder complete, with its metadata."""
+        self.folder(port)
+        self._written[port] = metadata
+
+    def store_all(self) -> dict[str, Digest]:
+        """Move all that was written into the store; ArtifactError where a required port was not."""
+        declared = self._spec.spec.outputs
+        missing = [p for p, d in declared.items() if not d.optional and p not in self._written]
+        unfinished = [p for p in self._folders if p not in self._written]
+        if missing or unfinished:
+            raise ArtifactError(f"{self._spec.id} did not write its outputs {', '.join({*missing, *unfinished})}")
+        return {
+            port: self._store.put(self._folders[port], declared[port].schema_id.partition("@")[0], metadata)
+            for port, metadata in self._written.items()
+        }
+
+
+class Emit(Protocol):
+    """Tells whoever started the stage what happens: one event, a flat mapping."""
+
+    def __call__(self, event: str, **values: Any) -> None: ...
+
+
+class Context:
+    """Seed, device, threads, checkpoints, progress, clocks and counters of one run."""
+
+    def __init__(self, *, seed: int, device: str, threads: int, work: Path, emit: Emit) -> None:
+        self.seed, self.device, self.threads, self.work = seed, device, threads, work
+        self.non_finite: dict[str, int] = {}
+        self.stopping = False
+        self._emit = emit
+        self._last_progress = self._last_clock = 0.0
+        self._start = (time.monotonic(), _cpu_seconds())
+        self._before = self._saved_clock()
+
+    def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
+        """Tell how far the work is, at most five times a second. Raises InterruptedRun once SIGTERM has come."""
+        if self.stopping:
+            raise InterruptedRun("stopped; checkpoints are kept, the next run goes on from them")
+        now = time.monotonic()
+        if now - self._last_progress >= PROGRESS_INTERVAL_S or done >= total:
+            self._last_progress = now
+            self._emit("progress", done=done, total=total, message=message, **figures)
+        if now - self._last_clock >= CLOCK_INTERVAL_S:
+            self._save_clock(now)
+
+    def log(self, message: str, **values: Any) -> None:
+        """Tell something that a person may want to know."""
+        self._emit("log", message=message, **values)
+
+    def record(self, series: str, **row: float | str) -> None:
+        """Append a row with the wall and CPU seconds so far to a series of the sidecar."""
+        wall, cpu = self.elapsed()
+        line = {"series": series, **row, "wall_s": round(wall, 3), "cpu_s": round(cpu, 3)}
+        with (self.work / "series.jsonl").open("ab") as file:
+            file.write(canonical_json(line) + b"\n")
+
+    def elapsed(self) -> tuple[float, float]:
+        """Wall and CPU seconds of the work so far, those before a kill included."""
+        wall, cpu = self._start
+        return self._before[0] + time.monotonic() - wall, self._before[1] + _cpu_seconds() - cpu
+
+    def timings(self) -> dict[str, Any]:
+        """What the sidecar says of the run."""
+        wall, cpu = self.elapsed()
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return {
+            "wall_s": round(wall, 3),
+            "cpu_s": round(cpu, 3),
+            "peak_memory_bytes": peak * 1024,
+            "threads": self.threads,
+            "non_finite": self.non_finite,
+            "series": self._series(),
+        }
+
+    def _series(self) -> dict[str, list[dict[str, Any]]]:
+        """The recorded rows. After a kill some steps were done twice: the later row counts."""
+        path = self.work / "series.jsonl"
+        series: dict[str, dict[Any, dict[str, Any]]] = {}
+        for i, line in enumerate(path.read_bytes().splitlines() if path.exists() else []):
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:  # the line that a kill cut short
+                continue
+            series.setdefault(row.pop("series"), {})[row.get("step", i)] = row
+        return {name: list(rows.values()) for name, rows in series.items()}
+
+    def _saved_clock(self) -> tuple[float, float]:
+        try:
+            wall, cpu = json.loads((self.work / "clock.json").read_text())
+        except (OSError, ValueError):
+            return (0.0, 0.0)
+        return float(wall), float(cpu)
+
+    def _save_clock(self, now: float) -> None:
+        self._last_clock = now
+        staged = self.work / "clock.json.new"
+        staged.write_text(json.dumps(self.elapsed()))
+        staged.replace(self.work / "clock.json")
+
+
+def _cpu_seconds() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system

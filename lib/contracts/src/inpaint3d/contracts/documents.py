@@ -1,0 +1,70 @@
+"""YAML documents that people write: read safely, validated by a closed model, errors with file and line."""
+
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from inpaint3d.contracts.errors import ConfigurationError
+
+D = TypeVar("D", bound=BaseModel)
+Location = tuple[int | str, ...]
+
+
+def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
+    """
+    The document's value, and the line (from 1) of every key and item in it.
+
+    Raises ConfigurationError naming the file and line where it cannot be read or is not YAML.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot read {path}: {error}; give a YAML file") from error
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        lines: dict[Location, int] = {}
+        if node is None:
+            return None, {(): 1}
+        _index(node, (), lines, path)
+        return yaml.safe_load(text), lines
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f":{mark.line + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or error
+        raise ConfigurationError(f"{path}{line}: not valid YAML: {problem}") from error
+
+
+def _index(node: yaml.Node, at: Location, lines: dict[Location, int], path: Path) -> None:
+    lines[at] = node.start_mark.line + 1
+    if isinstance(node, yaml.MappingNode):
+        for key, value in cast(list[tuple[yaml.ScalarNode, yaml.Node]], node.value):
+            if (*at, key.value) in lines:
+                raise ConfigurationError(f"{path}:{key.start_mark.line + 1}: {key.value} stands here twice")
+            _index(value, (*at, key.value), lines, path)
+            lines[(*at, key.value)] = key.start_mark.line + 1
+    elif isinstance(node, yaml.SequenceNode):
+        for i, value in enumerate(cast(list[yaml.Node], node.value)):
+            _index(value, (*at, i), lines, path)
+
+
+def line_of(lines: dict[Location, int], at: Location) -> int:
+    """The line of a location, or of the nearest thing around it."""
+    while at and at not in lines:
+        at = at[:-1]
+    return lines.get(at, 1)
+
+
+def load_document(path: Path, model: type[D]) -> tuple[D, dict[Location, int]]:
+    """A validated document and its line index. Raises ConfigurationError: `file:line: field: what, got value`."""
+    value, lines = load_yaml(path)
+    try:
+        return model.model_validate(value), lines
+    except ValidationError as error:
+        reports: list[str] = []
+        for e in error.errors(include_url=False):
+            at = ".".join(str(p) for p in e["loc"]) or "(whole document)"
+            got = "" if e["type"] in ("missing", "extra_forbidden") else f", got {e['input']!r:.80}"
+            reports.append(f"{path}:{line_of(lines, e['loc'])}: {at}: {e['msg']}{got}")
+        raise ConfigurationError("\n".join(reports)) from error

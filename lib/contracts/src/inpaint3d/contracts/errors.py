@@ -1,0 +1,79 @@
+"""
+One exception tree, and the exit code that each branch leaves behind.
+
+    Inpaint3dError                1   a bug, or an error nobody foresaw
+    ├── ConfigurationError        2   a parameter, pipeline.yaml, stage.yaml or request is wrong
+    ├── BadInputError             3   the data cannot work, or an artifact is not what its schema says
+    │   └── ArtifactError             an artifact is missing, damaged or malformed
+    ├── WaitingError              4   a person has to do something first (author a mask)
+    ├── StorageError              5   the disk is full or the store cannot be written
+    ├── RetryableError           75   try again: the same inputs may work (sysexits EX_TEMPFAIL)
+    └── InterruptedRun          143   stopped by SIGTERM or SIGINT; work so far is kept
+
+Nothing ever parses a log to learn what went wrong.
+"""
+
+import errno
+from typing import ClassVar
+
+
+class Inpaint3dError(Exception):
+    """Says what, with values, and how to repair it."""
+
+    exit_code: ClassVar[int] = 1
+    kind: ClassVar[str] = "internal error"
+
+
+class ConfigurationError(Inpaint3dError):
+    exit_code = 2
+    kind = "configuration"
+
+
+class BadInputError(Inpaint3dError):
+    exit_code = 3
+    kind = "bad input"
+
+
+class ArtifactError(BadInputError):
+    kind = "bad artifact"
+
+
+class WaitingError(Inpaint3dError):
+    exit_code = 4
+    kind = "waiting"
+
+
+class StorageError(Inpaint3dError):
+    exit_code = 5
+    kind = "storage"
+
+
+class RetryableError(Inpaint3dError):
+    exit_code = 75
+    kind = "retryable"
+
+
+class InterruptedRun(Inpaint3dError):
+    exit_code = 143
+    kind = "stopped"
+
+
+EXIT_CODES: dict[int, str] = {
+    c.exit_code: c.kind
+    for c in (
+        Inpaint3dError, ConfigurationError, BadInputError, WaitingError, StorageError, RetryableError, InterruptedRun,
+    )
+}  # fmt: skip
+"""Exit code -> what it means."""
+
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+def from_os_error(error: OSError) -> Inpaint3dError:
+    """The tree's word for an operating system error met while reading or writing artifacts."""
+    where = error.filename or "the store"
+    if error.errno in _DISK_FULL:
+        return StorageError(f"no space left writing {where}; free some (inpaint3d gc helps) and run again")
+    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+        return StorageError(f"cannot write {where}: {error.strerror}; check its permissions")
+    return Inpaint3dError(f"{where}: {error.strerror or error}")

@@ -1,0 +1,169 @@
+"""`pipeline.yaml`: the DAG of stages, their wiring and parameters. No code, no expressions, no conditionals."""
+
+import graphlib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, StringConstraints
+
+from inpaint3d.contracts.documents import Location, line_of, load_document
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.manifest import compatible, split_schema
+from inpaint3d.contracts.model import Closed, PortName
+from inpaint3d.contracts.stage import Name, StageSpec, load_stage
+
+Reference = Annotated[
+    str,
+    Field(description="NODE.PORT of another node, or external.NAME"),
+    StringConstraints(pattern=r"^[a-z][a-z0-9-]*\.[a-z][a-z0-9-]*$"),
+]
+Parameters = dict[str, Any]
+
+
+class External(Closed):
+    """An artifact that comes from outside: the capture, a mask request, a prior."""
+
+    schema_range: Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*@\d+$")] = Field(alias="schema")
+    optional: bool = False
+
+
+class Node(Closed):
+    """One use of a stage. Two nodes may use the same stage with different parameters."""
+
+    name: Name
+    stage: str = Field(description="the stage's folder, relative to pipeline.yaml")
+    inputs: dict[PortName, Reference | list[Reference]]
+    parameters: Parameters = {}
+
+
+class PipelineBody(Closed):
+    externals: dict[Name, External]
+    stages: list[Node]
+    presets: dict[Name, dict[Name, Parameters]] = Field(default={}, description="preset -> node -> parameters")
+    defaultPreset: Name | None = None  # noqa: N815 - Kubernetes' spelling
+
+
+class PipelineMetadata(Closed):
+    name: Name
+
+
+class PipelineSpec(Closed):
+    """The whole of `pipeline.yaml`."""
+
+    apiVersion: Literal["inpaint3d/v1"]  # noqa: N815
+    kind: Literal["Pipeline"]
+    metadata: PipelineMetadata
+    spec: PipelineBody
+
+
+class Pipeline:
+    """A checked pipeline: nodes in an order in which each comes after what it reads."""
+
+    def __init__(self, path: Path) -> None:
+        """Read `pipeline.yaml` and every `stage.yaml` that it names; ConfigurationError with file and line."""
+        self.path = path
+        self.spec, self._lines = load_document(path, PipelineSpec)
+        self.nodes: dict[str, Node] = {}
+        self.stages: dict[str, StageSpec] = {}
+        for i, node in enumerate(self.spec.spec.stages):
+            if node.name in self.nodes:
+                self._fail(("spec", "stages", i, "name"), f"a second node is called {node.name}; rename one")
+            file = path.parent / node.stage / "stage.yaml"
+            if not file.is_file():
+                self._fail(("spec", "stages", i, "stage"), f"{node.name}: there is no {file}")
+            self.nodes[node.name] = node
+            self.stages[node.name] = load_stage(file)
+        for i, node in enumerate(self.spec.spec.stages):
+            self._check_ports(i, node)
+        self.order = self._ordered()
+        self._check_presets()
+
+    def references(self, node: str) -> dict[str, list[str]]:
+        """Input port -> references, single ones as a list of one."""
+        wired = self.nodes[node].inputs
+        return {port: value if isinstance(value, list) else [value] for port, value in wired.items()}
+
+    def upstream(self, node: str) -> set[str]:
+        """The nodes that a node reads from directly."""
+        sources = {ref.split(".")[0] for refs in self.references(node).values() for ref in refs}
+        return sources - {"external"}
+
+    def downstream(self, node: str) -> set[str]:
+        """Every node that depends on this one, however far."""
+        found: set[str] = set()
+        for name in self.order:
+            if self.upstream(name) & (found | {node}):
+                found.add(name)
+        return found
+
+    def parameters(self, node: str, preset: str | None) -> Parameters:
+        """The node's parameters with the preset's over them."""
+        presets = self.spec.spec.presets
+        if preset is not None and preset not in presets:
+            raise ConfigurationError(f"no preset {preset!r} in {self.path}; there are {', '.join(presets)}")
+        chosen = presets.get(preset or "", {})
+        return {**self.nodes[node].parameters, **chosen.get(node, {})}
+
+    def _fail(self, at: Location, message: str) -> None:
+        raise ConfigurationError(f"{self.path}:{line_of(self._lines, at)}: {message}")
+
+    def _check_ports(self, i: int, node: Node) -> None:
+        ports = self.stages[node.name].spec.inputs
+        at: Location = ("spec", "stages", i, "inputs")
+        for port, value in node.inputs.items():
+            if port not in ports:
+                self._fail((*at, port), f"{node.name} has no input {port}; it has {', '.join(ports)}")
+            if isinstance(value, list) != ports[port].list:
+                form = "a list of references" if ports[port].list else "one reference"
+                self._fail((*at, port), f"{node.name}.{port} takes {form}")
+            for reference in value if isinstance(value, list) else [value]:
+                self._check_reference((*at, port), node, port, reference)
+        for port, declared in ports.items():
+            if port not in node.inputs and not declared.optional:
+                self._fail(at, f"{node.name}: its input {port} is not wired")
+
+    def _check_reference(self, at: Location, node: Node, port: str, reference: str) -> None:
+        source, name = reference.split(".")
+        wanted = self.stages[node.name].spec.inputs[port]
+        if source == "external":
+            external = self.spec.spec.externals.get(name)
+            if external is None:
+                self._fail(at, f"{reference}: no external {name}; there are {', '.join(self.spec.spec.externals)}")
+                return
+            offered, optional = external.schema_range + ".0", external.optional
+        else:
+            if source not in self.nodes:
+                self._fail(at, f"{reference}: no node {source}; there are {', '.join(self.nodes)}")
+            output = self.stages[source].spec.outputs.get(name)
+            if output is None:
+                outputs = ", ".join(self.stages[source].spec.outputs)
+                self._fail(at, f"{reference}: {source} has no output {name}; it has {outputs}")
+                return
+            offered, optional = output.schema_id, output.optional
+        if not compatible(offered, wanted.schema_range):
+            self._fail(at, f"{reference} is {offered}, but {node.name}.{port} takes {wanted.schema_range}")
+        if optional and not (wanted.optional or wanted.list):
+            kind = split_schema(offered)[0]
+            self._fail(at, f"{reference} may be absent, but {node.name}.{port} needs a {kind}")
+
+    def _ordered(self) -> list[str]:
+        graph = {name: self.upstream(name) for name in self.nodes}
+        try:
+            return list(graphlib.TopologicalSorter(graph).static_order())
+        except graphlib.CycleError as error:
+            cycle = " -> ".join(error.args[1])
+            i = list(self.nodes).index(error.args[1][0])
+            self._fail(("spec", "stages", i), f"the stages go in a circle: {cycle}")
+            raise
+
+    def _check_presets(self) -> None:
+        body = self.spec.spec
+        for preset, nodes in body.presets.items():
+            for node in nodes:
+                if node not in self.nodes:
+                    self._fail(
+                        ("spec", "presets", preset, node),
+                        f"no node {node}; there are {', '.join(self.nodes)}",
+                    )
+        if body.defaultPreset is not None and body.defaultPreset not in body.presets:
+            self._fail(("spec", "defaultPreset"), f"no preset {body.defaultPreset}")

@@ -1,0 +1,66 @@
+"""The published JSON Schemas (2020-12), generated from the models; `python -m inpaint3d.contracts.schemas [--check]`."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from inpaint3d.contracts.artifacts import SCHEMAS
+from inpaint3d.contracts.manifest import Manifest
+from inpaint3d.contracts.pipeline import PipelineSpec
+from inpaint3d.contracts.stage import StageSpec, load_stage
+
+ID_BASE = "urn:inpaint3d:schema:"
+
+
+def published(model: type[BaseModel], name: str, version: str) -> dict[str, Any]:
+    """A model's schema under an immutable `$id` that carries the full version."""
+    schema = model.model_json_schema(by_alias=True, mode="validation")
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": f"{ID_BASE}{name}:{version}",
+        **schema,
+    }
+
+
+def all_schemas(repository: Path) -> dict[Path, dict[str, Any]]:
+    """Path below `schemas/` -> schema, for documents, artifacts, and every stage's parameters."""
+    found: dict[Path, dict[str, Any]] = {
+        Path("pipeline/1.json"): published(PipelineSpec, "pipeline", "1"),
+        Path("stage/1.json"): published(StageSpec, "stage", "1"),
+        Path("artifact/1.json"): published(Manifest, "artifact", "1"),
+    }
+    for name, (version, model) in SCHEMAS.items():
+        found[Path(f"artifacts/{name}/{version}.json")] = published(model, f"artifacts:{name}", version)
+    for path in sorted(repository.glob("stages/*/stage.yaml")):
+        spec = load_stage(path)
+        config: type[BaseModel] = importlib.import_module(f"{spec.spec.module}.config").Config
+        name = spec.metadata.name
+        found[Path(f"parameters/{name}.json")] = published(config, f"parameters:{name}", spec.metadata.version)
+    return found
+
+
+def main(arguments: list[str]) -> int:
+    """Write `schemas/`, or with --check say what differs and return 1."""
+    repository = Path.cwd()
+    stale: list[str] = []
+    for relative, schema in all_schemas(repository).items():
+        path = repository / "schemas" / relative
+        text = json.dumps(schema, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+        if path.is_file() and path.read_text() == text:
+            continue
+        stale.append(str(path.relative_to(repository)))
+        if "--check" not in arguments:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+    if stale and "--check" in arguments:
+        sys.stderr.write("schemas differ from the models (run `make schemas`): " + ", ".join(stale) + "\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,260 @@
+"""
+The shim in every stage: fetch, verify, validate, run, validate, hash, commit. The same as a process, in a container, in a pod.
+
+    python -m inpaint3d.stages.NAME run --store DIR --invocation FILE    do the work (or find it done), commit, say what came out
+    python -m inpaint3d.stages.NAME describe                             ports, schemas, version, as JSON
+
+Events go to standard output as JSON lines; everything else that the stage or its libraries print goes to standard error.
+"""
+
+import argparse
+import contextlib
+import ctypes
+import datetime
+import importlib
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any, TextIO
+
+from pydantic import Field, ValidationError
+
+from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
+from inpaint3d.contracts.keys import code_digest, key_components, run_key
+from inpaint3d.contracts.manifest import first_error
+from inpaint3d.contracts.model import Closed, Digest
+from inpaint3d.contracts.stage import StageSpec, load_stage
+from inpaint3d.contracts.store import Record, Store
+
+STAGE_YAML = "INPAINT3D_STAGE_YAML"
+GRACE_S = 10.0
+PR_SET_PDEATHSIG = 1
+
+
+class Invocation(Closed):
+    """What to run: everything that the key is taken over, and what it does not depend on."""
+
+    parameters: dict[str, Any] = {}
+    inputs: dict[str, Digest | list[Digest]] = {}
+    seed: int = 0
+    device: str = "cpu"
+    threads: int = Field(default=2, ge=1)
+    stub: bool = False
+    die_with_parent: bool = False
+
+
+def serve(module: str) -> None:
+    """The whole of a stage's `__main__`. Exits with the code of `inpaint3d.contracts.errors`."""
+    parser = argparse.ArgumentParser(prog=f"python -m {module}", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    commands.add_parser("describe", help="ports, schemas and version, as JSON")
+    run = commands.add_parser("run", help="run the stage, or find its result in the store")
+    run.add_argument("--store", type=Path, required=True)
+    run.add_argument("--invocation", type=Path, required=True)
+    options = parser.parse_args()
+    if options.command == "describe":
+        sys.stdout.write(stage_spec(module).model_dump_json(by_alias=True, indent=2) + "\n")
+        return
+    with _events() as events:
+        sys.exit(_guarded(module, options.store, options.invocation, events))
+
+
+def stage_spec(module: str) -> StageSpec:
+    """The stage's `stage.yaml`: beside its source, or where the image says."""
+    if place := os.environ.get(STAGE_YAML):
+        return load_stage(Path(place))
+    package = importlib.import_module(module)
+    for folder in Path(str(package.__file__)).parents:
+        if (folder / "stage.yaml").is_file():
+            return load_stage(folder / "stage.yaml")
+    raise ConfigurationError(f"no stage.yaml above {package.__file__}; set {STAGE_YAML} to its path")
+
+
+def execute(module: str, store: Store, invocation: Invocation, events: TextIO) -> Record:
+    """Run a stage under its key, or return what is already there. Errors are the tree of `errors`."""
+    spec = stage_spec(module)
+    components = key_components(
+        spec,
+        code=code_digest(module),
+        parameters=invocation.parameters,
+        inputs=invocation.inputs,
+        seed=invocation.seed,
+        device=invocation.device,
+        stub=invocation.stub,
+    )
+    key = run_key(components)
+    with store.lock(key):
+        if (record := store.lookup(key)) is None:
+            store.sweep_tmp()
+            record = _run(module, spec, store, invocation, key, components, events)
+    return record
+
+
+def _run(
+    module: str,
+    spec: StageSpec,
+    store: Store,
+    invocation: Invocation,
+    key: Digest,
+    components: dict[str, Any],
+    events: TextIO,
+) -> Record:
+    def emit(event: str, **values: Any) -> None:
+        events.write(json.dumps({"event": event, "stage": spec.metadata.name, **values}) + "\n")
+        events.flush()
+
+    config = _config(module, spec, invocation.parameters)
+    work = store.work_folder(key)
+    ctx = Context(seed=invocation.seed, device=invocation.device, threads=invocation.threads, work=work, emit=emit)
+    inputs, outputs = Inputs(store, spec, invocation.inputs), Outputs(store, spec)
+    started = datetime.datetime.now(datetime.UTC)
+    method = _method(module, stub=invocation.stub)
+    with _stopping(ctx):
+        method(config, inputs, outputs, ctx)
+        produced = outputs.store_all()
+    record = Record(
+        key=key,
+        stage=spec.id,
+        components=components,
+        outputs=produced,
+        provenance=_provenance(spec, key, components, produced, started),
+        timings=ctx.timings(),
+    )
+    record = store.commit(record)
+    store.drop_work(key)
+    return record
+
+
+def _config(module: str, spec: StageSpec, parameters: dict[str, Any]) -> Any:
+    config = importlib.import_module(f"{module}.config").Config
+    try:
+        return config.model_validate(parameters)
+    except ValidationError as error:
+        known = ", ".join(sorted(config.model_fields))
+        raise ConfigurationError(
+            f"parameter of {spec.metadata.name}: {first_error(error)}; its parameters are {known}"
+        ) from error
+
+
+def _method(module: str, *, stub: bool) -> Any:
+    name = "stub" if stub else "run"
+    return getattr(importlib.import_module(f"{module}.{name}"), name)
+
+
+def _provenance(
+    spec: StageSpec,
+    key: Digest,
+    components: dict[str, Any],
+    produced: dict[str, Digest],
+    started: datetime.datetime,
+) -> dict[str, Any]:
+    """An in-toto statement with the SLSA v1 provenance predicate."""
+    flat = [(port, d) for port, ds in components["inputs"].items() for d in ([ds] if isinstance(ds, str) else ds)]
+    return {
+        "_type": "https://in-toto.io/Statement/v1",
+        "subject": [{"name": port, "digest": _sha256(d)} for port, d in produced.items()],
+        "predicateType": "https://slsa.dev/provenance/v1",
+        "predicate": {
+            "buildDefinition": {
+                "buildType": f"urn:inpaint3d:stage:{spec.id}",
+                "externalParameters": components["parameters"],
+                "internalParameters": {"seed": components["seed"], "device": components["device"]},
+                "resolvedDependencies": [
+                    {"name": "code", "digest": _sha256(components["code"])},
+                    *({"name": port, "digest": _sha256(d)} for port, d in flat),
+                ],
+            },
+            "runDetails": {
+                "builder": {"id": spec.spec.image},
+                "metadata": {
+                    "invocationId": key,
+                    "startedOn": started.isoformat(),
+                    "finishedOn": datetime.datetime.now(datetime.UTC).isoformat(),
+                },
+            },
+        },
+    }
+
+
+def _sha256(digest: Digest) -> dict[str, str]:
+    return {"sha256": digest.removeprefix("sha256:")}
+
+
+def _guarded(module: str, store_root: Path, invocation_file: Path, events: TextIO) -> int:
+    """Run, and turn whatever happens into an event and an exit code."""
+
+    def say(event: str, **values: Any) -> None:
+        events.write(json.dumps({"event": event, "stage": module.rpartition(".")[2], **values}) + "\n")
+        events.flush()
+
+    try:
+        invocation = Invocation.model_validate_json(invocation_file.read_bytes())
+        if invocation.die_with_parent:
+            _die_with_parent()
+        # Native libraries read these when they are first imported, which is after this line.
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ[name] = str(invocation.threads)
+        record = execute(module, Store(store_root), invocation, events)
+    except Inpaint3dError as error:
+        failure, trace = error, None
+    except OSError as error:
+        failure, trace = from_os_error(error), traceback.format_exc()
+    except ValidationError as error:
+        failure, trace = ConfigurationError(f"{invocation_file}: {first_error(error)}"), None
+    except Exception as error:  # the last resort: a bug becomes exit code 1 with its traceback
+        failure, trace = Inpaint3dError(f"{type(error).__name__}: {error}"), traceback.format_exc()
+    else:
+        say("done", key=record.key, outputs=record.outputs)
+        return 0
+    if trace is not None:
+        sys.stderr.write(trace)
+    say("error", kind=failure.kind, message=str(failure), exit_code=failure.exit_code)
+    return failure.exit_code
+
+
+@contextlib.contextmanager
+def _events() -> Generator[TextIO]:
+    """The event stream on the real standard output, with file descriptor 1 pointed at standard error for everybody else."""
+    descriptor = os.dup(1)
+    os.dup2(2, 1)
+    with os.fdopen(descriptor, "w") as events:
+        yield events
+
+
+@contextlib.contextmanager
+def _stopping(ctx: Context) -> Generator[None]:
+    """Turn SIGTERM and SIGINT into InterruptedRun at the next progress call; leave by force after a grace."""
+
+    def leave() -> None:
+        os._exit(143)
+
+    timer = threading.Timer(GRACE_S, leave)
+    timer.daemon = True
+
+    def stop(_signal: int, _frame: object) -> None:
+        if not ctx.stopping:
+            ctx.stopping = True
+            timer.start()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {s: signal.signal(s, stop) for s in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        timer.cancel()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _die_with_parent() -> None:
+    """Ask Linux for SIGTERM when the process that started this one dies, so that a kill leaves no orphan at work."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

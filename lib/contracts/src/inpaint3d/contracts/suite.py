@@ -1,0 +1,240 @@
+"""The contract suite: what every stage must do, whatever it computes. `test_contract.py` of a stage is three lines.
+
+    from inpaint3d.contracts.suite import stage_contract
+    TestContract = stage_contract(__file__)
+
+Inputs are made by the stubs of the stages upstream in the repository's `pipeline.yaml`, so that each run also proves that
+every edge of the DAG accepts what its producer writes.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from inpaint3d.contracts.artifacts import MaskRequestArtifact, Source
+from inpaint3d.contracts.artifacts.masks import MaskRequest
+from inpaint3d.contracts.documents import load_yaml
+from inpaint3d.contracts.manifest import compatible
+from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.stage import StageSpec, load_stage
+from inpaint3d.contracts.store import Store
+
+TENSOR_LIBRARIES = ("torch", "pycolmap", "onnxruntime")
+DAMAGED: Digest = "sha256:" + "0" * 64
+
+
+class Upstream:
+    """A store holding the stub outputs of every stage before one node, and those that came from outside."""
+
+    def __init__(self, pipeline: Pipeline, node: str, store: Store) -> None:
+        self.pipeline, self.node, self.store = pipeline, node, store
+        self.produced: dict[str, Digest] = external_artifacts(store)
+        for name in pipeline.order:
+            if node in pipeline.downstream(name):
+                result = invoke(pipeline.stages[name], store, self.inputs_of(name), stub=True)
+                if result.code != 0:
+                    raise AssertionError(f"stub of {name} failed: {result.error}\n{result.stderr}")
+                self.produced |= {f"{name}.{port}": digest for port, digest in result.outputs.items()}
+
+    def inputs_of(self, node: str) -> dict[str, Any]:
+        """Port -> digest (a list for list ports) of what the node reads; absent optional inputs left out."""
+        ports = self.pipeline.stages[node].spec.inputs
+        found: dict[str, Any] = {}
+        for port, references in self.pipeline.references(node).items():
+            digests = [self.produced[r] for r in references if r in self.produced]
+            if digests:
+                found[port] = digests if ports[port].list else digests[0]
+        return found
+
+
+class Result:
+    """What one run of a stage left behind."""
+
+    def __init__(self, process: subprocess.CompletedProcess[str]) -> None:
+        self.code, self.stderr = process.returncode, process.stderr
+        self.events: list[dict[str, Any]] = [json.loads(line) for line in process.stdout.splitlines()]
+        last: dict[str, Any] = self.events[-1] if self.events else {}
+        self.outputs: dict[str, Digest] = last.get("outputs", {})
+        self.error: str = last.get("message", "")
+
+
+def command(spec: StageSpec, store: Store, invocation: Invocation) -> list[str]:
+    """The command line that runs a stage on this machine, its invocation written below the store."""
+    folder = store.private_folder()
+    (folder / "invocation.json").write_text(invocation.model_dump_json())
+    return [
+        sys.executable, "-W", "ignore", "-m", spec.spec.module, "run",
+        "--store", str(store.root), "--invocation", str(folder / "invocation.json"),
+    ]  # fmt: skip
+
+
+def invoke(spec: StageSpec, store: Store, inputs: dict[str, Any], **options: Any) -> Result:
+    """Run a stage as a process on artifacts of the store."""
+    line = command(spec, store, Invocation(inputs=inputs, threads=1, **options))
+    return Result(subprocess.run(line, capture_output=True, text=True, check=False))
+
+
+def external_artifacts(store: Store) -> dict[str, Digest]:
+    """A source and a mask request, as the orchestrator would take them in."""
+    folder = store.private_folder()
+    (folder / "raw").mkdir()
+    (folder / "raw" / "readme.txt").write_text("the stub of capture-ingest does not look")
+    source = store.put(folder, "source", Source(name="tiny", kind="folder"))
+    request = MaskRequest.model_validate({"mask": {"kind": "sphere", "centre": [0, 0, 0], "radius": 0.3}})
+    mask = store.put(store.private_folder(), "mask-request", MaskRequestArtifact(request=request))
+    return {"external.capture": source, "external.mask-request": mask}
+
+
+def committed_keys(store: Store) -> set[str]:
+    return {r.key for r in store.records()}
+
+
+class StageContract:
+    """The tests themselves; `stage_contract` binds them to one stage."""
+
+    folder: ClassVar[Path]
+
+    @pytest.fixture(scope="class")
+    def upstream(self, tmp_path_factory: pytest.TempPathFactory) -> Upstream:
+        repository = self.folder.parents[1]
+        pipeline = Pipeline(repository / "pipeline.yaml")
+        stage = f"stages/{self.folder.name}"
+        node = [n for n in pipeline.order if pipeline.nodes[n].stage == stage][-1]
+        return Upstream(pipeline, node, Store(tmp_path_factory.mktemp("store")))
+
+    @pytest.fixture(scope="class")
+    def spec(self) -> StageSpec:
+        return load_stage(self.folder / "stage.yaml")
+
+    @pytest.fixture(scope="class")
+    def tiny(self) -> dict[str, Any]:
+        path = self.folder / "tests" / "tiny.yaml"
+        return load_yaml(path)[0] or {}
+
+    @pytest.fixture(scope="class")
+    def inputs(self, upstream: Upstream) -> dict[str, Any]:
+        return upstream.inputs_of(upstream.node) | self.tiny_inputs(upstream.store)
+
+    @pytest.fixture(scope="class")
+    def real(self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any]) -> Result:
+        """One tiny real run, shared by the tests that look at it."""
+        return invoke(spec, upstream.store, inputs, parameters=tiny)
+
+    def tiny_inputs(self, store: Store) -> dict[str, Any]:
+        """Inputs that a stub upstream cannot give (capture-ingest overrides this: it needs real pictures)."""
+        path = self.folder / "tests" / "tiny_source"
+        if not path.is_dir():
+            return {}
+        folder = store.private_folder()
+        for file in sorted(path.rglob("*")):
+            if file.is_file():
+                target = folder / "raw" / file.relative_to(path)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(file.read_bytes())
+        return {"source": store.put(folder, "source", Source(name=path.name, kind="folder"))}
+
+    def test_every_stage_folder_has_the_same_shape(self, spec: StageSpec) -> None:
+        package = self.folder / "src" / "inpaint3d" / "stages" / self.folder.name
+        for file in ("__main__.py", "config.py", "run.py", "stub.py"):
+            assert (package / file).is_file(), file
+        for file in ("stage.yaml", "README.md", "pyproject.toml", "tests/test_contract.py", "tests/test_run.py"):
+            assert (self.folder / file).is_file(), file
+        assert spec.metadata.name == self.folder.name.replace("_", "-")
+        assert spec.spec.module == f"inpaint3d.stages.{self.folder.name}"
+
+    def test_real_run_writes_the_declared_ports(self, upstream: Upstream, spec: StageSpec, real: Result) -> None:
+        assert real.code == 0, real.error + real.stderr
+        required = {p for p, d in spec.spec.outputs.items() if not d.optional}
+        assert required <= set(real.outputs) <= set(spec.spec.outputs)
+        for port, digest in real.outputs.items():
+            manifest = upstream.store.manifest(digest)
+            assert manifest.schema_id == spec.spec.outputs[port].schema_id
+            assert upstream.store.damage(digest) is None
+
+    def test_stub_is_valid_without_a_tensor_library(self, upstream: Upstream, spec: StageSpec) -> None:
+        result = invoke(spec, upstream.store, upstream.inputs_of(upstream.node), stub=True)
+        assert result.code == 0, result.error + result.stderr
+        assert {p for p, d in spec.spec.outputs.items() if not d.optional} <= set(result.outputs)
+        code = (
+            f"import sys, {spec.spec.module}.stub, {spec.spec.module}.config;"
+            f"sys.exit(any(m in sys.modules for m in {TENSOR_LIBRARIES}))"
+        )
+        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+    def test_downstream_accepts_what_it_writes(self, upstream: Upstream, spec: StageSpec) -> None:
+        for name in upstream.pipeline.order:
+            for port, references in upstream.pipeline.references(name).items():
+                wanted = upstream.pipeline.stages[name].spec.inputs[port].schema_range
+                for reference in references:
+                    node, _, output = reference.partition(".")
+                    if node in upstream.pipeline.nodes and upstream.pipeline.stages[node].id == spec.id:
+                        assert compatible(spec.spec.outputs[output].schema_id, wanted)
+
+    def test_missing_input_is_bad_input_and_commits_nothing(self, upstream: Upstream, spec: StageSpec) -> None:
+        before = committed_keys(upstream.store)
+        ports = upstream.inputs_of(upstream.node)
+        broken: dict[str, Any] = {p: ([DAMAGED] if isinstance(d, list) else DAMAGED) for p, d in ports.items()}
+        result = invoke(spec, upstream.store, broken)
+        assert result.code == 3, result.stderr
+        assert "is not in the store" in result.error
+        assert committed_keys(upstream.store) == before
+
+    def test_unknown_parameter_is_a_configuration_error(
+        self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any]
+    ) -> None:
+        before = committed_keys(upstream.store)
+        result = invoke(spec, upstream.store, inputs, parameters={"no_such_parameter": 1})
+        assert result.code == 2, result.stderr
+        assert "no_such_parameter" in result.error
+        assert committed_keys(upstream.store) == before
+
+    def test_same_input_gives_the_same_digest(
+        self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any], real: Result
+    ) -> None:
+        again = Store(upstream.store.root.parent / f"{upstream.store.root.name}-again")
+        (again.root / "objects").rmdir()
+        (again.root / "objects").symlink_to(upstream.store.root / "objects")
+        repeated = invoke(spec, again, inputs, parameters=tiny)
+        assert repeated.code == 0, repeated.error
+        if spec.spec.determinism == "exact":
+            assert repeated.outputs == real.outputs
+        else:
+            assert set(repeated.outputs) == set(real.outputs)
+            assert len(spec.spec.determinism.tolerance) > 20
+
+    def test_sigterm_is_honoured(
+        self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any], real: Result
+    ) -> None:
+        """Stopped as soon as it starts to work: exit 143 (or 0, where it was already done), nothing half-committed."""
+        before = committed_keys(upstream.store)
+        line = command(spec, upstream.store, Invocation(inputs=inputs, threads=1, parameters=tiny, seed=1))
+        process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        assert first, "a stage tells of its progress"
+        process.send_signal(signal.SIGTERM)
+        stopped_at = time.monotonic()
+        process.communicate()
+        assert time.monotonic() - stopped_at < 30
+        assert process.returncode in (143, 0)
+        committed = committed_keys(upstream.store) - before
+        assert len(committed) == (1 if process.returncode == 0 else 0)
+
+    def test_describe_prints_the_spec(self, spec: StageSpec) -> None:
+        line = [sys.executable, "-m", spec.spec.module, "describe"]
+        out = subprocess.run(line, capture_output=True, text=True, check=True, env=dict(os.environ)).stdout
+        assert StageSpec.model_validate_json(out) == spec
+
+
+def stage_contract(test_file: str) -> type[StageContract]:
+    """The suite for the stage whose `tests/test_contract.py` this is."""
+    return type("TestContract", (StageContract,), {"folder": Path(test_file).resolve().parents[1]})
