@@ -37,7 +37,6 @@ class PriorSpec(Closed):
         description="residual only: spread of the picture about the fill, pixel values in [-1, 1]",
     )
     schedule: Literal["cosine"] = "cosine"
-    log_snr_clamp: Positive = 20.0
     condition_dropout: Share = 0.1
 
 

@@ -1,0 +1,33 @@
+"""Priors on disk: weights as safetensors; the spec travels beside them, in the artifact."""
+
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save
+
+from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.diffusion.prior import InpaintingPrior
+
+
+def save_prior(path: Path, prior: InpaintingPrior, *, half: bool = False) -> None:
+    """Write the weights; the same weights give the same bytes. half: as float16, for files that travel."""
+    dtype = torch.float16 if half else torch.float32
+    # One sorted, contiguous layout: memory formats (channels last) must not change the bytes.
+    weights = {
+        name: tensor.detach().to(dtype=dtype, memory_format=torch.contiguous_format).contiguous().cpu()
+        for name, tensor in sorted(prior.state_dict().items())
+    }
+    path.write_bytes(save(weights))
+
+
+def load_prior(path: Path, spec: PriorSpec) -> InpaintingPrior:
+    """The prior of these weights, in float32, ready to be queried (no gradients).
+
+    Raises ValueError where the weights are not those of the spec.
+    """
+    prior = InpaintingPrior(spec)
+    try:
+        prior.load_state_dict({name: tensor.float() for name, tensor in load_file(path).items()})
+    except RuntimeError as error:
+        raise ValueError(f"{path} does not hold the weights of {spec!r}: {error}") from error
+    return prior.eval().requires_grad_(False)

@@ -1,0 +1,176 @@
+"""Training a prior: the loss, one step, the running average of weights, and a checkpoint that resumes exactly.
+
+Randomness is counted, not carried: everything a step draws comes from (seed, step), so that a run that was killed and
+resumed draws what the unbroken one would have.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.diffusion.parameterisation import target_output
+from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
+from inpaint3d.diffusion.schedules import alpha, per_image, sigma
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Pictures to learn from. `hole` is what the network must fill, `teach` where the truth is known to the loss."""
+
+    image: Image
+    """In [-1, 1]; anything finite where `teach` is 0."""
+    hole: Mask
+    teach: Mask
+    """1 where the loss may look; a pixel with 0 must lie in the hole, so that it is never shown either."""
+
+
+@dataclass
+class TrainingState:
+    """What a checkpoint holds."""
+
+    prior: InpaintingPrior
+    average: InpaintingPrior
+    """Exponential moving average of the weights: the one that is used afterwards."""
+    optimiser: torch.optim.Adam
+    step: int = 0
+    curve: list[tuple[int, float]] = field(default_factory=list)
+    """(step, loss averaged since the entry before)."""
+
+
+def begin(spec: PriorSpec, seed: int, start: InpaintingPrior | None = None) -> TrainingState:
+    """A fresh state: random weights of this seed, or those of `start`, with a new optimiser."""
+    prior, average = InpaintingPrior(spec, seed), InpaintingPrior(spec, seed)
+    if start is not None:
+        prior.load_state_dict(start.state_dict())
+        average.load_state_dict(start.state_dict())
+    average.requires_grad_(False).eval()
+    optimiser = torch.optim.Adam(prior.parameters(), lr=1e-4, betas=(0.9, 0.99), fused=True)
+    return TrainingState(prior, average, optimiser)
+
+
+def step_generators(seed: int, step: int) -> tuple[np.random.Generator, torch.Generator]:
+    """The randomness of one step, the same whether or not the run was interrupted before it."""
+    entropy = np.random.SeedSequence((seed, step))
+    seed_for_torch = int(entropy.generate_state(1, np.uint64)[0] >> 1)
+    return np.random.default_rng(entropy), torch.Generator().manual_seed(seed_for_torch)
+
+
+def denoising_loss(
+    prior: InpaintingPrior,
+    batch: Batch,
+    generator: torch.Generator,
+    t_range: tuple[float, float] = (0.0, 1.0),
+) -> Float[Tensor, ""]:
+    """Mean squared error of the network's output over the pixels that the spec's loss looks at (D8, D9, D11).
+
+    The mean is per picture, then over pictures, so that a small hole weighs as much as a large one.
+    """
+    spec, count = prior.spec, len(batch.image)
+    # Stratified: a batch covers all noise levels, which takes noise out of the loss (VDM, arXiv:2107.00630, I.1).
+    stratum = (torch.arange(count) + torch.rand(count, generator=generator)) / count
+    t = t_range[0] + (t_range[1] - t_range[0]) * stratum[torch.randperm(count, generator=generator)]
+    eps = torch.randn(batch.image.shape, generator=generator)
+    noise_fill = torch.randn(batch.image.shape, generator=generator)
+    dropped = (torch.rand(count, 1, 1, 1, generator=generator) < spec.condition_dropout).float()
+    device = batch.image.device
+    t, eps, noise_fill, dropped = (tensor.to(device) for tensor in (t, eps, noise_fill, dropped))
+
+    hole = torch.maximum(batch.hole, dropped.expand_as(batch.hole))
+    fill = prior.filled(batch.image, hole, noise_fill)
+    # Where the truth is unknown z is made of the fill: never of a pixel that must not be learnt.
+    x = torch.where(batch.teach > 0, batch.image, pictured(fill, hole, spec))
+    a, s = per_image(alpha(t)), per_image(sigma(t))
+    output = prior(a * x + s * eps, t, fill, hole)
+    target = target_output(spec.prediction, x, eps, a, s, fill, spec.residual_std)
+    region = batch.teach * (hole if spec.loss_region == "hole" else 1)
+    squared = ((output - target).square() * region).sum(dim=(1, 2, 3))
+    return (squared / (3 * region.sum(dim=(1, 2, 3))).clamp(min=1)).mean()
+
+
+def pictured(fill: Image, hole: Mask, spec: PriorSpec) -> Image:
+    """A stand-in for pixels nobody may see: the smooth fill, or mid grey where the condition holds noise."""
+    return fill if spec.condition == "mask-channel" else torch.where(hole > 0, 0.0, fill)
+
+
+def train_step(
+    state: TrainingState,
+    loss_of: Callable[[InpaintingPrior], Tensor],
+    *,
+    learning_rate: float,
+    ema: float = 0.9999,
+    clip: float = 1.0,
+) -> float:
+    """One Adam step with clipped gradients and the running average (D13). Returns the loss.
+
+    A step whose gradient is not finite changes nothing but the step count, and returns the non-finite loss: the caller
+    counts and reports it.
+    """
+    for group in state.optimiser.param_groups:
+        group["lr"] = learning_rate
+    state.optimiser.zero_grad(set_to_none=True)
+    loss = loss_of(state.prior)
+    loss.backward()
+    norm = torch.nn.utils.clip_grad_norm_(state.prior.parameters(), clip)
+    state.step += 1
+    if not torch.isfinite(norm):
+        return float("nan")
+    state.optimiser.step()
+    # Warm-up: early on the average must forget the random start faster than the final decay would.
+    decay = min(ema, (1 + state.step) / (10 + state.step))
+    with torch.no_grad():
+        for average, weight in zip(state.average.parameters(), state.prior.parameters(), strict=True):
+            average.lerp_(weight, 1 - decay)
+    return loss.item()
+
+
+def warmed_up(peak: float, step: int, total: int, warm_up: int, final_share: float = 0.1) -> float:
+    """Learning rate: linear warm-up, then a cosine from `peak` to `final_share * peak` at `total`."""
+    if step < warm_up:
+        return peak * (step + 1) / warm_up
+    progress = min(1.0, (step - warm_up) / max(1, total - warm_up))
+    return peak * (final_share + (1 - final_share) * 0.5 * (1 + float(np.cos(np.pi * progress))))
+
+
+def save_checkpoint(path: Path, state: TrainingState) -> None:
+    """Everything needed to go on exactly, in one file that appears whole or not at all."""
+    tensors = {f"prior.{name}": value for name, value in state.prior.state_dict().items()}
+    tensors |= {f"average.{name}": value for name, value in state.average.state_dict().items()}
+    for name, parameter in state.prior.named_parameters():
+        for key, value in state.optimiser.state.get(parameter, {}).items():
+            tensors[f"optimiser.{key}.{name}"] = value
+    tensors["step"] = torch.tensor(state.step)
+    tensors["curve"] = torch.tensor(state.curve, dtype=torch.float64).reshape(-1, 2)
+    partial = path.with_suffix(".partial")
+    save_file({name: value.detach().contiguous() for name, value in tensors.items()}, partial)
+    with partial.open("rb") as file:
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def load_checkpoint(path: Path, state: TrainingState) -> None:
+    """Put `state` back to where the checkpoint was taken; its spec must be the same (ValueError otherwise)."""
+    tensors = load_file(path)
+    try:
+        state.prior.load_state_dict(_under(tensors, "prior."))
+        state.average.load_state_dict(_under(tensors, "average."))
+    except RuntimeError as error:
+        raise ValueError(f"checkpoint {path} belongs to another architecture: {error}") from error
+    state.optimiser.state.clear()
+    for name, parameter in state.prior.named_parameters():
+        moments = {key: tensors.get(f"optimiser.{key}.{name}") for key in ("step", "exp_avg", "exp_avg_sq")}
+        if moments["step"] is not None:
+            state.optimiser.state[parameter] = moments
+    state.step = int(tensors["step"])
+    state.curve = [(int(step), float(loss)) for step, loss in tensors["curve"].tolist()]
+
+
+def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
