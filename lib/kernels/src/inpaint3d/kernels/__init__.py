@@ -1,1 +1,10 @@
-"""Compiled CPU kernels (none yet)."""
+"""Compiled CPU kernels of the radiance field; `inpaint3d.radiance.backends.native` is their only user.
+
+Arrays are float32, contiguous, and used in place (numpy, or anything that speaks DLPack). `threads` never changes a
+result: each output number is summed by one thread in a fixed order. Wrong shapes and indices raise ValueError or
+TypeError. Importing this package raises ImportError where it was installed without a C++ compiler.
+"""
+
+from inpaint3d.kernels._native import adam, hash_backward, hash_forward, isa, isas, set_isa
+
+__all__ = ["adam", "hash_backward", "hash_forward", "isa", "isas", "set_isa"]

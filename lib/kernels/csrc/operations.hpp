@@ -1,0 +1,17 @@
+// The functions that each instruction set's namespace defines; kernels.hpp says what they do.
+#pragma once
+
+#include "kernels.hpp"
+
+#ifndef INPAINT3D_ISA
+#define INPAINT3D_ISA portable
+#endif
+
+namespace inpaint3d::INPAINT3D_ISA {
+
+void hash_forward(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
+void hash_backward(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
+                   int threads);
+void adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
+
+}  // namespace inpaint3d::INPAINT3D_ISA

@@ -1,0 +1,11 @@
+// One instruction set's functions, as the table that the dispatcher picks.
+#include "operations.hpp"
+
+#define INPAINT3D_STRING(name) #name
+#define INPAINT3D_NAME(name) INPAINT3D_STRING(name)
+
+namespace inpaint3d::INPAINT3D_ISA {
+
+const Kernels kKernels = {INPAINT3D_NAME(INPAINT3D_ISA), hash_forward, hash_backward, adam};
+
+}  // namespace inpaint3d::INPAINT3D_ISA
