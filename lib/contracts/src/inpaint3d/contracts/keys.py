@@ -1,8 +1,8 @@
 """
 The key of a stage run: everything that its result depends on, and nothing else.
 
-Not in it: resources, retries, threads, absolute paths. Two tiers (key -> outputs -> objects) give early cut-off: inputs are
-*content* digests, so that an upstream rerun that produces identical bytes reruns nothing.
+Not in it: resources, retries, threads, absolute paths. Two tiers (key -> outputs -> objects) give early
+cut-off: inputs are *content* digests, so that an upstream rerun that produces identical bytes reruns nothing.
 """
 
 import functools
@@ -57,7 +57,7 @@ def run_key(components: dict[str, Any]) -> Digest:
 
 
 def code_digest(module: str) -> Digest:
-    """The image's digest in a container; else one over the stage's source, its libraries' and its dependencies' versions."""
+    """The image's digest in a container; else one over the source here and the versions of what it depends on."""
     if image := os.environ.get(IMAGE_DIGEST):
         return image
     return local_code_digest(distribution_of(module))
@@ -105,6 +105,6 @@ def _source_digest(distribution: str) -> Digest:
     project = Path(unquote(urlparse(str(json.loads(origin)["url"])).path)) if origin else None
     if project is None or not (project / "src").is_dir():
         raise ConfigurationError(
-            f"{distribution} is installed without its source and {IMAGE_DIGEST} is not set; set it to the image's digest"
+            f"{distribution} is installed without its source, and {IMAGE_DIGEST} is not set; set it to the image's"
         )
     return tree_digest(project / "src", SOURCE_SUFFIXES)

@@ -25,6 +25,9 @@ class External(Closed):
 
     schema_range: Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*@\d+$")] = Field(alias="schema")
     optional: bool = False
+    default: str | None = Field(
+        default=None, description="artifact folder, relative to pipeline.yaml, if none is given"
+    )
 
 
 class Node(Closed):

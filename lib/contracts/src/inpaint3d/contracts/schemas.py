@@ -1,4 +1,7 @@
-"""The published JSON Schemas (2020-12), generated from the models; `python -m inpaint3d.contracts.schemas [--check]`."""
+"""The published JSON Schemas (2020-12), generated from the models.
+
+python -m inpaint3d.contracts.schemas [--check]
+"""
 
 import importlib
 import json

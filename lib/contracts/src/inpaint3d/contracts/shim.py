@@ -1,8 +1,8 @@
 """
-The shim in every stage: fetch, verify, validate, run, validate, hash, commit. The same as a process, in a container, in a pod.
+The shim in every stage: verify, validate, run, validate, hash, commit. The same as a process, in a container, in a pod.
 
-    python -m inpaint3d.stages.NAME run --store DIR --invocation FILE    do the work (or find it done), commit, say what came out
-    python -m inpaint3d.stages.NAME describe                             ports, schemas, version, as JSON
+    python -m inpaint3d.stages.NAME run --store DIR --invocation FILE    do the work, or find it done
+    python -m inpaint3d.stages.NAME describe    ports, schemas, version, as JSON
 
 Events go to standard output as JSON lines; everything else that the stage or its libraries print goes to standard error.
 """
@@ -220,7 +220,7 @@ def _guarded(module: str, store_root: Path, invocation_file: Path, events: TextI
 
 @contextlib.contextmanager
 def _events() -> Generator[TextIO]:
-    """The event stream on the real standard output, with file descriptor 1 pointed at standard error for everybody else."""
+    """The event stream on the real standard output; descriptor 1 goes to standard error for everybody else."""
     descriptor = os.dup(1)
     os.dup2(2, 1)
     with os.fdopen(descriptor, "w") as events:

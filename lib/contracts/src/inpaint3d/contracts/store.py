@@ -28,6 +28,7 @@ from inpaint3d.contracts.manifest import (
     MANIFEST,
     Manifest,
     build_manifest,
+    describe_files,
     first_error,
     read_metadata,
 )
@@ -84,7 +85,21 @@ class Store:
 
     def put(self, folder: Path, name: str, metadata: Closed) -> Digest:
         """Move a filled private folder into the store as an artifact of schema `name`; returns its digest."""
-        manifest = build_manifest(folder, name, metadata)
+        return self._place(folder, build_manifest(folder, name, metadata))
+
+    def adopt(self, source: Path, manifest: Manifest) -> Digest:
+        """Copy in an artifact that lies elsewhere; ArtifactError where its files are not what its manifest says."""
+        folder = self.private_folder()
+        for entry in manifest.files:
+            target = folder / entry.path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source / entry.path, target)
+        if describe_files(folder) != manifest.files:
+            shutil.rmtree(folder)
+            raise ArtifactError(f"{source} is damaged: its files are not those of its {MANIFEST}; get it again")
+        return self._place(folder, manifest)
+
+    def _place(self, folder: Path, manifest: Manifest) -> Digest:
         (folder / MANIFEST).write_bytes(canonical_json(manifest.dumped()))
         for path in folder.rglob("*"):
             if path.is_file():

@@ -3,8 +3,8 @@
     from inpaint3d.contracts.suite import stage_contract
     TestContract = stage_contract(__file__)
 
-Inputs are made by the stubs of the stages upstream in the repository's `pipeline.yaml`, so that each run also proves that
-every edge of the DAG accepts what its producer writes.
+Inputs are made by the stubs of the stages upstream in the repository's `pipeline.yaml`, so that each run also proves
+that every edge of the DAG accepts what its producer writes.
 """
 
 import json
@@ -212,7 +212,7 @@ class StageContract:
             assert len(spec.spec.determinism.tolerance) > 20
 
     def test_sigterm_is_honoured(
-        self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any], real: Result
+        self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any]
     ) -> None:
         """Stopped as soon as it starts to work: exit 143 (or 0, where it was already done), nothing half-committed."""
         before = committed_keys(upstream.store)

@@ -1,0 +1,303 @@
+"""`inpaint3d`: run a pipeline over captures, and look at what came out.
+
+Exit codes are those of `inpaint3d.contracts.errors`: 0 done, 2 configuration, 3 bad input, 4 waiting for a person,
+5 storage, 75 retryable, 143 stopped, 1 anything else.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
+from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.report import NodeRun, RunRecord
+from inpaint3d.contracts.store import Store
+from inpaint3d.orchestrator import housekeeping
+from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.intake import take_artifact, take_capture, take_mask_request
+from inpaint3d.orchestrator.parameters import parse_overrides
+from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, preview
+from inpaint3d.orchestrator.progress import display_for
+from inpaint3d.orchestrator.publish import publish, read_report
+from inpaint3d.orchestrator.run import Scheduler
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
+
+StorePath = Annotated[Path, typer.Option("--store", envvar="INPAINT3D_STORE", help="where artifacts are kept")]
+RunsPath = Annotated[
+    Path, typer.Option("--runs-dir", envvar="INPAINT3D_RUNS", help="where results are left to look at")
+]
+Name = Annotated[str | None, typer.Option(help="name of the run; default: the capture's folder name")]
+Capture = Annotated[Path, typer.Argument(help="a folder of photos, a data set, or a video file")]
+Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: masks that came with the capture")]
+Preset = Annotated[str | None, typer.Option(help="draft, standard, high or paper; default: the pipeline's")]
+Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, may be repeated")]
+Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of CAPTURE; may be repeated: one run each")]
+Only = Annotated[str | None, typer.Option(help="run this stage alone")]
+From = Annotated[str | None, typer.Option("--from", help="run this stage and what depends on it")]
+Until = Annotated[str | None, typer.Option(help="run up to this stage")]
+Force = Annotated[bool, typer.Option("--force", help="compute again what is selected, even if up to date")]
+PipelinePath = Annotated[Path | None, typer.Option("--pipeline", help="default: the nearest pipeline.yaml")]
+LogFormat = Annotated[str, typer.Option(help="auto (a table on a terminal, JSON lines elsewhere), table, json")]
+Seed = Annotated[int, typer.Option(help="seed of every stage")]
+Device = Annotated[str, typer.Option(help="cpu or cuda")]
+Stub = Annotated[bool, typer.Option("--stub", help="run every stage's stub: the whole DAG in seconds, no numeric work")]
+Prior = Annotated[Path | None, typer.Option(help="folder of a diffusion-prior artifact to start from")]
+Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
+AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
+
+STORE = Path(".inpaint3d/store")
+RUNS = Path("runs")
+
+
+def main() -> None:
+    """Entry point: every foreseen error becomes one clear message and its documented exit code."""
+    try:
+        app(standalone_mode=True)
+    except Inpaint3dError as error:
+        _fail(error)
+    except OSError as error:
+        _fail(from_os_error(error))
+
+
+def _fail(error: Inpaint3dError) -> None:
+    sys.stderr.write(f"inpaint3d: {error.kind}: {error}\n")
+    sys.exit(error.exit_code)
+
+
+def _planner(
+    capture: Path,
+    *,
+    store: Store,
+    pipeline: Pipeline,
+    name: str | None,
+    mask: Path | None,
+    preset: str | None,
+    assignments: list[str] | None,
+    prior: Path | None,
+    corpus: Path | None,
+    seed: int,
+    device: str,
+    stub: bool,
+) -> Planner:
+    externals: dict[str, Digest] = {"capture": take_capture(store, capture)}
+    if mask is not None:
+        externals["mask-request"] = take_mask_request(store, mask)
+    for external, given in (("pretrained-prior", prior), ("image-corpus", corpus)):
+        declared = pipeline.spec.spec.externals.get(external)
+        if declared is None:
+            continue
+        default = pipeline.path.parent / declared.default if declared.default else None
+        if (folder := given or default) is not None:
+            externals[external] = take_artifact(store, folder, declared.schema_range)
+    return Planner(
+        pipeline=pipeline,
+        store=store,
+        history=History(store),
+        name=name or capture.resolve().stem,
+        preset=preset or pipeline.spec.spec.defaultPreset,
+        externals=externals,
+        overrides=parse_overrides(pipeline, assignments or []),
+        seed=seed,
+        device=device,
+        stub=stub,
+    )
+
+
+def _scenes(capture: Path, scenes: list[str] | None, name: str | None) -> list[tuple[Path, str | None]]:
+    """The captures to run, with their names: the one given, or one for each `--scene` below it."""
+    if not scenes:
+        return [(capture, name)]
+    for scene in scenes:
+        if not (capture / scene).exists():
+            raise ConfigurationError(f"--scene {scene}: there is no {capture / scene}")
+    return [(capture / scene, f"{name}-{scene}" if name else scene) for scene in scenes]
+
+
+@app.command()
+def run(
+    capture: Capture,
+    mask: Mask = None,
+    preset: Preset = None,
+    name: Name = None,
+    scene: Scene = None,
+    only: Only = None,
+    start: From = None,
+    until: Until = None,
+    force: Force = False,
+    assignments: Set = None,
+    prior: Prior = None,
+    corpus: Corpus = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    stub: Stub = False,
+    store: StorePath = STORE,
+    runs_dir: RunsPath = RUNS,
+    pipeline: PipelinePath = None,
+    log_format: LogFormat = "auto",
+) -> None:
+    """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
+    checked, opened = Pipeline(find_pipeline(pipeline)), Store(store)
+    codes: list[int] = []
+    for path, scene_name in _scenes(capture, scene, name):
+        planner = _planner(
+            path, store=opened, pipeline=checked, name=scene_name, mask=mask, preset=preset, assignments=assignments,
+            prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
+        )  # fmt: skip
+        selection = Selection(only=only, start=start, until=until, force=force)
+        folder = runs_dir / planner.name
+        scheduler = Scheduler(planner, selection, display_for(log_format, checked.order), folder)
+        record = scheduler.run()
+        publish(opened, record, folder)
+        codes.append(_conclude(record, folder))
+    raise typer.Exit(max(codes))
+
+
+def _conclude(record: RunRecord, folder: Path) -> int:
+    """Say how a run ended, on standard error; returns its exit code."""
+    ran = [n.node for n in record.nodes if n.status == "done"]
+    failed = [n for n in record.nodes if n.status in ("failed", "waiting", "stopped")]
+    if record.status == "done":
+        what = f"ran {', '.join(ran)}" if ran else "nothing to be done: everything is up to date"
+        sys.stderr.write(f"{record.name}: {what}. Results: {folder}\n")
+        return 0
+    for node in failed:
+        sys.stderr.write(f"{record.name}: {node.node} {node.status}: {node.error}\n")
+    if failed:
+        return max(n.exit_code or 1 for n in failed)
+    blocked = [f"{n.node} ({n.reason})" for n in record.nodes if n.status in ("pending", "skipped")]
+    sys.stderr.write(f"{record.name}: {record.status}; not run: {', '.join(blocked)}\n")
+    return 143 if record.status == "stopped" else ConfigurationError.exit_code
+
+
+@app.command()
+def plan(
+    capture: Capture,
+    mask: Mask = None,
+    preset: Preset = None,
+    name: Name = None,
+    only: Only = None,
+    start: From = None,
+    until: Until = None,
+    force: Force = False,
+    assignments: Set = None,
+    prior: Prior = None,
+    corpus: Corpus = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    stub: Stub = False,
+    store: StorePath = STORE,
+    pipeline: PipelinePath = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what `run` would do and why, stage by stage, without doing it."""
+    planner = _planner(
+        capture, store=Store(store), pipeline=Pipeline(find_pipeline(pipeline)), name=name, mask=mask, preset=preset,
+        assignments=assignments, prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
+    )  # fmt: skip
+    _show_nodes(preview(planner, Selection(only=only, start=start, until=until, force=force)), as_json=as_json)
+
+
+@app.command()
+def why(name: str, stage: str, store: StorePath = STORE) -> None:
+    """Say why a stage ran, or did not, in the last run of NAME: which part of its key changed, old -> new."""
+    record = History(Store(store)).latest(name)
+    found = [n for n in record.nodes if n.node == stage]
+    if not found:
+        raise ConfigurationError(f"no stage {stage} in {name}; there are {', '.join(n.node for n in record.nodes)}")
+    sys.stdout.write(f"{stage}: {found[0].status}: {found[0].reason}\n")
+    for change in found[0].changes:
+        sys.stdout.write(f"  {change.component}: {json.dumps(change.old)} -> {json.dumps(change.new)}\n")
+    if found[0].error:
+        sys.stdout.write(f"  {found[0].error}\n")
+
+
+@app.command()
+def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
+    """List the runs that the store remembers, the newest of each name first."""
+    history = History(Store(store))
+    records = [r for name in history.names() for r in history.of(name)]
+    if as_json:
+        sys.stdout.write(json.dumps([r.model_dump(mode="json", exclude={"nodes"}) for r in records], indent=2) + "\n")
+        return
+    table = Table("name", "started", "status", "preset", "wall s", "ran", "cached", box=None)
+    for r in records:
+        counts = [sum(n.status == s for n in r.nodes) for s in ("done", "cached")]
+        wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
+        table.add_row(r.name, r.started[:19], r.status, r.preset or "", wall, *map(str, counts))
+    Console().print(table)
+
+
+@app.command()
+def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:
+    """Print a run's metrics, stages and times; with --json, its metrics.json."""
+    if not (runs_dir / name / "metrics.json").is_file():
+        History(Store(store)).latest(name)  # says which names there are
+        raise ConfigurationError(f"{runs_dir / name} holds no results; run it again, or give its --runs-dir")
+    report = read_report(runs_dir / name)
+    if as_json:
+        sys.stdout.write(json.dumps(report, indent=2) + "\n")
+        return
+    _show_nodes(list(History(Store(store)).latest(name).nodes), as_json=False)
+    for protocol in report["protocols"]:
+        sys.stdout.write(f"\n{protocol['name']}: {protocol['description']}\n")
+        table = Table("method", "metric", "value", "unit", "better", "views", box=None)
+        for m in protocol["metrics"]:
+            table.add_row(m["method"], m["name"], f"{m['value']:.4g}", m["unit"], m["better"], str(m["views"]))
+        Console().print(table)
+
+
+def _show_nodes(nodes: list[NodeRun], *, as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps([n.model_dump(mode="json") for n in nodes], indent=2) + "\n")
+        return
+    table = Table("stage", "state", "wall s", "CPU s", "peak MiB", "why", box=None)
+    for n in nodes:
+        memory = "" if n.peak_memory_bytes is None else f"{n.peak_memory_bytes / 2**20:.0f}"
+        figures = ["" if v is None else f"{v:.1f}" for v in (n.wall_s, n.cpu_s)]
+        changes = "".join(f"\n  {c.component}: {json.dumps(c.old)} -> {json.dumps(c.new)}" for c in n.changes)
+        table.add_row(n.node, n.status, *figures, memory, n.reason + changes)
+    Console().print(table)
+
+
+@app.command()
+def verify(store: StorePath = STORE) -> None:
+    """Hash every artifact in the store; bad ones are put in quarantine and will be computed again."""
+    damaged = housekeeping.verify(Store(store))
+    for line in damaged:
+        sys.stdout.write(line + "\n")
+    sys.stderr.write(f"{len(damaged)} damaged artifacts\n")
+    raise typer.Exit(3 if damaged else 0)
+
+
+@app.command()
+def gc(
+    store: StorePath = STORE,
+    keep: Annotated[int, typer.Option(min=1, help="runs to keep of each name")] = 1,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what would go")] = False,
+) -> None:
+    """Remove what no kept run needs: old artifacts, keys, checkpoints, quarantine."""
+    freed, count = housekeeping.collect(Store(store), keep=keep, dry_run=dry_run)
+    verb = "would free" if dry_run else "freed"
+    sys.stdout.write(f"{verb} {freed / 2**20:.1f} MiB in {count} artifacts\n")
+
+
+@app.command()
+def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> None:
+    """Print what a stage's result in the last run of NAME was made from, back to the photos."""
+    opened = Store(store)
+    for line in housekeeping.lineage(opened, History(opened).latest(name), stage):
+        sys.stdout.write(line + "\n")
+
+
+@app.command()
+def validate(pipeline: PipelinePath = None) -> None:
+    """Check pipeline.yaml and every stage.yaml it names."""
+    checked = Pipeline(find_pipeline(pipeline))
+    sys.stdout.write(f"{checked.path}: {len(checked.order)} stages: {', '.join(checked.order)}\n")

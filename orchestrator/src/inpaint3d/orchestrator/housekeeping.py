@@ -1,0 +1,82 @@
+"""Keeping a store in order: verifying it, freeing space, and telling where an artifact comes from."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.report import RunRecord
+from inpaint3d.contracts.store import Record, Store
+from inpaint3d.orchestrator.history import History
+
+
+def verify(store: Store) -> list[str]:
+    """Hash every object; what is damaged goes to quarantine. Returns one line for each."""
+    lines: list[str] = []
+    for path in sorted((store.root / "objects").iterdir()):
+        digest = f"sha256:{path.name}"
+        if (damage := store.damage(digest)) is not None:
+            store.quarantine(digest)
+            lines.append(damage)
+    return lines
+
+
+def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
+    """Remove what the last `keep` runs of each name do not need. Returns bytes and artifacts freed."""
+    keys, objects = _needed(store, keep)
+    gone = [p for p in (store.root / "objects").iterdir() if f"sha256:{p.name}" not in objects]
+    stale = [r.key for r in store.records() if r.key not in keys]
+    litter = [p for place in ("work", "quarantine") for p in (store.root / place).iterdir()]
+    freed = sum(_size(p) for p in (*gone, *litter))
+    if not dry_run:
+        for key in stale:  # keys first: a kill in between leaves no key without its objects
+            store.record_path(key).unlink()
+        for path in (*gone, *litter):
+            shutil.rmtree(path)
+    return freed, len(gone)
+
+
+def _needed(store: Store, keep: int) -> tuple[set[Digest], set[Digest]]:
+    history = History(store)
+    keys: set[Digest] = set()
+    objects: set[Digest] = set()
+    for name in history.names():
+        for i, record in enumerate(history.of(name)):
+            if i < keep:
+                objects |= set(record.externals.values())
+                keys |= {n.key for n in record.nodes if n.key is not None}
+                objects |= {d for n in record.nodes for d in n.outputs.values()}
+    return keys, objects
+
+
+def _size(path: Path) -> int:
+    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
+
+
+def lineage(store: Store, record: RunRecord, stage: str) -> list[str]:
+    """An indented tree: the stage, its parameters, and below it the stages whose results it read."""
+    by_output: dict[Digest, Record] = {d: r for r in store.records() for d in r.outputs.values()}
+    found = [n for n in record.nodes if n.node == stage]
+    if not found or found[0].key is None:
+        raise ConfigurationError(
+            f"{stage} has no result in {record.name}; `inpaint3d show {record.name}` lists what has"
+        )
+    start = store.lookup(found[0].key, verify=False)
+    if start is None:
+        raise ConfigurationError(f"the result of {stage} is gone from the store; run {record.name} again")
+    externals = {d: name for name, d in record.externals.items()}
+    return _branch(start, by_output, externals, 0)
+
+
+def _branch(record: Record, by_output: dict[Digest, Record], externals: dict[Digest, str], depth: int) -> list[str]:
+    outputs = ", ".join(f"{port} {digest[7:19]}" for port, digest in record.outputs.items())
+    lines = [f"{'  ' * depth}{record.stage} -> {outputs}"]
+    inputs: dict[str, Any] = record.components["inputs"]
+    for port, digests in inputs.items():
+        for digest in [digests] if isinstance(digests, str) else digests:
+            if digest in by_output:
+                lines += _branch(by_output[digest], by_output, externals, depth + 1)
+            else:
+                lines.append(f"{'  ' * (depth + 1)}{port}: {externals.get(digest, 'from outside')} {digest[7:19]}")
+    return lines

@@ -1,0 +1,52 @@
+"""What comes from outside is taken into the store as artifacts, so that everything downstream has a digest."""
+
+import shutil
+from pathlib import Path
+
+from inpaint3d.contracts.artifacts import MaskRequestArtifact, Source
+from inpaint3d.contracts.artifacts.masks import MaskRequest
+from inpaint3d.contracts.documents import load_document
+from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
+from inpaint3d.contracts.manifest import MANIFEST, Manifest, compatible, describe_files, schema_id
+from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.store import Store
+
+
+def take_capture(store: Store, path: Path) -> Digest:
+    """A folder of pictures or a data set, or a video file, byte for byte. Nothing is copied that the store has."""
+    if not path.exists():
+        raise BadInputError(f"{path} does not exist; give a folder of photos, a data set, or a video file")
+    metadata = Source(name=path.resolve().name, kind="folder" if path.is_dir() else "file")
+    entries = describe_files(path) if path.is_dir() else describe_files(path.parent)
+    wanted = [e for e in entries if path.is_dir() or e.path == path.name]
+    visible = [e for e in wanted if not any(part.startswith(".") for part in e.path.split("/"))]
+    root = path if path.is_dir() else path.parent
+    files = tuple(e.model_copy(update={"path": f"raw/{e.path}"}) for e in visible)
+    manifest = Manifest(schema=schema_id("source"), files=files, metadata=metadata.model_dump(mode="json"))
+    if store.damage(manifest.digest) is None:
+        return manifest.digest
+    folder = store.private_folder()
+    for entry in visible:
+        target = folder / "raw" / entry.path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(root / entry.path, target)
+    return store.put(folder, "source", metadata)
+
+
+def take_mask_request(store: Store, path: Path) -> Digest:
+    """A mask request, read from YAML and checked; ConfigurationError names the file and line."""
+    request, _ = load_document(path, MaskRequest)
+    return store.put(store.private_folder(), "mask-request", MaskRequestArtifact(request=request))
+
+
+def take_artifact(store: Store, path: Path, schema: str) -> Digest:
+    """An artifact's folder as another store holds it (a pretrained prior, a corpus), verified on the way in."""
+    if not (path / MANIFEST).is_file():
+        raise ConfigurationError(f"{path} holds no {MANIFEST}; give the folder of a {schema} artifact")
+    manifest = Manifest.model_validate_json((path / MANIFEST).read_bytes())
+    if not compatible(manifest.schema_id, schema):
+        raise ArtifactError(f"{path} is {manifest.schema_id}, but {schema} is wanted here")
+    if store.damage(manifest.digest) is None:
+        return manifest.digest
+    store.adopt(path, manifest)
+    return manifest.digest

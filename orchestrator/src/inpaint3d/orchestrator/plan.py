@@ -1,0 +1,182 @@
+"""What a run would do, and why: the key of every node against what the store holds and what the last run used."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.keys import Inputs, code_digest, key_components, run_key
+from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.report import Change, NodeRun
+from inpaint3d.contracts.store import Record, Store
+from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.parameters import resolved
+
+Overrides = dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which nodes a run is about. Others are used as the store has them."""
+
+    only: str | None = None
+    start: str | None = None
+    until: str | None = None
+    force: bool = False
+
+    def nodes(self, pipeline: Pipeline) -> list[str]:
+        """The selected nodes in order; ConfigurationError for a name that is not in the pipeline."""
+        for name in (self.only, self.start, self.until):
+            if name is not None and name not in pipeline.nodes:
+                raise ConfigurationError(f"no stage {name} in {pipeline.path}; there are {', '.join(pipeline.order)}")
+        if self.only is not None:
+            return [self.only]
+        chosen = set(pipeline.order)
+        if self.start is not None:
+            chosen &= {self.start} | pipeline.downstream(self.start)
+        if self.until is not None:
+            chosen &= {self.until} | {n for n in pipeline.order if self.until in pipeline.downstream(n)}
+        return [n for n in pipeline.order if n in chosen]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A node whose inputs are all known: its key, and the stored result if there is one."""
+
+    node: str
+    key: Digest
+    components: dict[str, Any]
+    inputs: Inputs
+    record: Record | None
+    reason: str
+    changes: tuple[Change, ...]
+
+
+@dataclass
+class Planner:
+    """Turns nodes into tasks as their inputs become known."""
+
+    pipeline: Pipeline
+    store: Store
+    history: History
+    name: str
+    preset: str | None
+    externals: dict[str, Digest]
+    overrides: Overrides
+    seed: int = 0
+    device: str = "cpu"
+    stub: bool = False
+    outputs: dict[str, dict[str, Digest]] = field(default_factory=dict[str, dict[str, Digest]])
+
+    def known(self, node: str) -> bool:
+        """Whether everything upstream of the node has a result."""
+        return self.pipeline.upstream(node) <= set(self.outputs)
+
+    def task(self, node: str, *, force: bool = False) -> Task:
+        """Key, stored result and reason of a node whose upstream is known."""
+        inputs = self._inputs(node)
+        spec = self.pipeline.stages[node]
+        components = key_components(
+            spec,
+            code=code_digest(spec.spec.module),
+            parameters=self.parameters(node),
+            inputs=inputs,
+            seed=self.seed,
+            device=self.device if spec.spec.gpu != "none" else "cpu",
+            stub=self.stub,
+        )
+        key = run_key(components)
+        if force:
+            self.store.forget(key)
+        record = self.store.lookup(key)
+        before = self.history.last_key_of(self.name, node)
+        reason, changes = explain(components, key, before, record, force=force)
+        return Task(node, key, components, inputs, record, reason, changes)
+
+    def parameters(self, node: str) -> dict[str, Any]:
+        """All the node's parameters: the stage's defaults, pipeline.yaml's, the preset's, the command line's."""
+        chosen = {**self.pipeline.parameters(node, self.preset), **self.overrides.get(node, {})}
+        return resolved(self.pipeline, node, chosen)
+
+    def _inputs(self, node: str) -> Inputs:
+        ports = self.pipeline.stages[node].spec.inputs
+        inputs: Inputs = {}
+        for port, references in self.pipeline.references(node).items():
+            found = [d for d in map(self._digest, references) if d is not None]
+            if found:
+                inputs[port] = found if ports[port].list else found[0]
+            elif not ports[port].optional:
+                raise ConfigurationError(f"{node}: nothing at its input {port} ({', '.join(references)})")
+        return inputs
+
+    def _digest(self, reference: str) -> Digest | None:
+        source, name = reference.split(".")
+        return self.externals.get(name) if source == "external" else self.outputs[source].get(name)
+
+
+def explain(
+    components: dict[str, Any], key: Digest, before: NodeRun | None, record: Record | None, *, force: bool
+) -> tuple[str, tuple[Change, ...]]:
+    """Why a node runs or not, in words, and which components of its key differ from the last run's."""
+    changes = () if before is None or before.key == key else differences(before.components, components)
+    if record is not None:
+        return ("up to date" if not changes else "computed before with exactly this key"), changes
+    if force:
+        return "forced", changes
+    if before is None:
+        return "never run under this name", ()
+    if changes:
+        return "changed: " + ", ".join(c.component for c in changes), changes
+    return "its result is gone from the store, or was damaged", ()
+
+
+def differences(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> tuple[Change, ...]:
+    """The leaves in which two keys' components differ."""
+    found: list[Change] = []
+    for name in sorted({*old, *new}):
+        was, now = old.get(name), new.get(name)
+        if isinstance(was, dict) and isinstance(now, dict):
+            found += differences(cast(dict[str, Any], was), cast(dict[str, Any], now), f"{prefix}{name}.")
+        elif json.dumps(was, sort_keys=True) != json.dumps(now, sort_keys=True):
+            found.append(Change(component=prefix + name, old=was, new=now))
+    return tuple(found)
+
+
+def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
+    """The dry run: what each node would do. Nodes behind one that runs are 'pending': its bytes are not known yet."""
+    chosen = set(selection.nodes(planner.pipeline))
+    rows: list[NodeRun] = []
+    for node in planner.pipeline.order:
+        waiting = sorted(planner.pipeline.upstream(node) - set(planner.outputs))
+        if waiting:
+            reason = f"after {', '.join(waiting)}"
+            rows.append(NodeRun(node=node, status="pending" if node in chosen else "skipped", reason=reason))
+            continue
+        task = planner.task(node)
+        if task.record is not None and not (selection.force and node in chosen):
+            planner.outputs[node] = task.record.outputs
+            rows.append(_row(task, "cached", task.reason))
+        elif node in chosen:
+            rows.append(_row(task, "pending", "forced" if selection.force else task.reason))
+        else:
+            rows.append(_row(task, "skipped", "not selected, and the store has no result"))
+    return rows
+
+
+def _row(task: Task, status: Any, reason: str) -> NodeRun:
+    return NodeRun(
+        node=task.node, status=status, reason=reason, changes=task.changes, key=task.key, components=task.components
+    )
+
+
+def find_pipeline(given: Path | None) -> Path:
+    """`--pipeline`, else the nearest `pipeline.yaml` above the working folder, else the one this code lies beside."""
+    if given is not None:
+        return given
+    here = Path.cwd()
+    for folder in (here, *here.parents, *Path(__file__).resolve().parents):
+        if (folder / "pipeline.yaml").is_file():
+            return folder / "pipeline.yaml"
+    raise ConfigurationError("no pipeline.yaml here or above; give one with --pipeline")

@@ -1,0 +1,79 @@
+"""What a run leaves where a person looks: `runs/NAME/` with report.html, scene.usdz, metrics.json and pictures/."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from inpaint3d.contracts.artifacts import Evaluation, UsdScene
+from inpaint3d.contracts.errors import ArtifactError
+from inpaint3d.contracts.report import RunRecord, RunReport, StageFigures
+from inpaint3d.contracts.store import Store
+from inpaint3d.orchestrator.times import times_page
+
+MARK = "<!-- inpaint3d:run -->"
+
+
+def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
+    """Write the results of a run, replacing what an earlier run of the name left. Returns what metrics.json says."""
+    folder.mkdir(parents=True, exist_ok=True)
+    outputs = {n.node: n.outputs for n in record.nodes}
+    protocols: tuple[Any, ...] = ()
+    if digest := outputs.get("evaluation", {}).get("evaluation"):
+        artifact = store.open(digest, Evaluation)
+        protocols = artifact.metadata.protocols
+        _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
+        html = artifact.path(artifact.metadata.report).read_text()
+        if MARK not in html:
+            raise ArtifactError(f"{artifact.metadata.report} of {digest} lacks the line {MARK}; re-run evaluation")
+        _write(folder / "report.html", html.replace(MARK, times_page(store, record)).encode())
+    if digest := outputs.get("usd-export", {}).get("usd-scene"):
+        scene = store.open(digest, UsdScene)
+        _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
+    report = run_report(record, protocols)
+    _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
+    return report
+
+
+def run_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
+    stages = tuple(
+        StageFigures(
+            node=n.node,
+            status=n.status,
+            cached=n.cached,
+            wall_s=n.wall_s,
+            cpu_s=n.cpu_s,
+            peak_memory_bytes=n.peak_memory_bytes,
+            key=n.key,
+            outputs=n.outputs,
+            non_finite=n.non_finite,
+        )
+        for n in record.nodes
+    )
+    return RunReport(
+        name=record.name,
+        run=record.id,
+        preset=record.preset,
+        status=record.status,
+        machine=record.machine,
+        stages=stages,
+        protocols=protocols,
+    )
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """metrics.json as it stands in a run's folder."""
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def _copy_pictures(root: Path, pictures: tuple[str, ...], target: Path) -> None:
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir()
+    for picture in pictures:
+        _write(target / Path(picture).name, (root / picture).read_bytes())
+
+
+def _write(path: Path, data: bytes) -> None:
+    staged = path.with_name(f".{path.name}.new")
+    staged.write_bytes(data)
+    staged.replace(path)

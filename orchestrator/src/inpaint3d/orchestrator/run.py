@@ -1,0 +1,233 @@
+"""The scheduler: starts each stage when its inputs are known and the machine has room, and records what happened."""
+
+import contextlib
+import datetime
+import os
+import queue
+import secrets
+import signal
+import time
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from inpaint3d.contracts.errors import EXIT_CODES, InterruptedRun, WaitingError
+from inpaint3d.contracts.report import NodeRun, RunRecord, Status
+from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.store import Record
+from inpaint3d.orchestrator.history import this_machine
+from inpaint3d.orchestrator.plan import Planner, Selection, Task
+from inpaint3d.orchestrator.progress import Display
+from inpaint3d.orchestrator.runners.process import Event, RunningStage, start
+
+RunStatus = Literal["running", "done", "failed", "waiting", "stopped"]
+POLL_S = 0.5
+
+
+@dataclass
+class Scheduler:
+    """One run of a pipeline over one scene."""
+
+    planner: Planner
+    selection: Selection
+    display: Display
+    folder: Path
+    cores: int = field(default_factory=lambda: this_machine().cores)
+    _running: dict[str, RunningStage] = field(default_factory=dict[str, RunningStage])
+    _tasks: dict[str, Task] = field(default_factory=dict[str, Task])
+    _results: dict[str, NodeRun] = field(default_factory=dict[str, NodeRun])
+    _stopped: bool = False
+
+    def __post_init__(self) -> None:
+        self._events: queue.Queue[Event] = queue.Queue()
+        self._chosen = set(self.selection.nodes(self.planner.pipeline))
+        self._began = time.monotonic()
+        now = datetime.datetime.now(datetime.UTC)
+        self.record = RunRecord(
+            id=f"{now:%Y%m%dT%H%M%S%f}-{secrets.token_hex(2)}",
+            name=self.planner.name,
+            pipeline=str(self.planner.pipeline.path),
+            preset=self.planner.preset,
+            externals=self.planner.externals,
+            status="running",
+            started=now.isoformat(),
+            machine=this_machine(),
+        )
+
+    def run(self) -> RunRecord:
+        """Run what is selected; returns the record. Stops early where a stage fails, waits, or the run is told to."""
+        (self.folder / "logs").mkdir(parents=True, exist_ok=True)
+        with self._signals():
+            while True:
+                progressed = self._settle()
+                if not self._running and not progressed:
+                    break
+                self._hear()
+        return self._finish()
+
+    def _settle(self) -> bool:
+        """Look at every node whose inputs are known: take its stored result, or start it if there is room."""
+        progressed = False
+        for node in self.planner.pipeline.order:
+            if node in self._results or node in self._running or not self.planner.known(node):
+                continue
+            if node not in self._tasks:
+                force = self.selection.force and node in self._chosen
+                self._tasks[node] = self.planner.task(node, force=force)
+            task = self._tasks[node]
+            if task.record is not None:
+                self._accept(task, "cached", task.record)
+                progressed = True
+            elif node not in self._chosen:
+                self._close(task, "skipped", reason="not selected, and the store has no result")
+            elif self._may_start() and (threads := self._room(node)) > 0:
+                self._start(task, threads)
+                progressed = True
+        return progressed
+
+    def _may_start(self) -> bool:
+        return not self._stopped and all(r.status not in ("failed", "waiting") for r in self._results.values())
+
+    def _room(self, node: str) -> int:
+        """Threads for a node now: its request if free, up to its limit where nobody else is waiting; 0: no room."""
+        resources = self.planner.pipeline.stages[node].spec.resources
+        wanted = min(self.cores, max(1, int(float(resources.requests.get("cpu", "1")))))
+        most = min(self.cores, int(float(resources.limits.get("cpu", resources.requests.get("cpu", "1")))))
+        free = self.cores - sum(r.threads for r in self._running.values())
+        if free < wanted and self._running:
+            return 0
+        rivals = [
+            n
+            for n in self.planner.pipeline.order
+            if n != node and n in self._chosen and n not in self._results and n not in self._running
+            and self.planner.known(n) and (n not in self._tasks or self._tasks[n].record is None)
+        ]  # fmt: skip
+        return max(wanted, 1 if rivals else min(most, free))
+
+    def _start(self, task: Task, threads: int) -> None:
+        spec = self.planner.pipeline.stages[task.node]
+        invocation = Invocation(
+            parameters=task.components["parameters"],
+            inputs=task.inputs,
+            seed=task.components["seed"],
+            device=task.components["device"],
+            stub=self.planner.stub,
+            threads=threads,
+            die_with_parent=True,
+        )
+        log = self.folder / "logs" / f"{task.node}.log"
+        self._running[task.node] = start(task.node, spec, self.planner.store, invocation, log, self._events)
+        self.display.node(task.node, "running", task.reason, threads=threads)
+        self._save("running")
+
+    def _hear(self) -> None:
+        try:
+            node, event = self._events.get(timeout=POLL_S if self._running else 0)
+        except queue.Empty:
+            return
+        running = self._running.get(node)
+        if running is None:
+            return
+        if event["event"] == "progress":
+            self.display.progress(node, event)
+        elif event["event"] == "error":
+            running.last_error = dict(event)
+        elif event["event"] == "log":
+            self.display.node(node, "running", str(event.get("message", "")))
+        elif event["event"] == "exit":
+            del self._running[node]
+            self._ended(self._tasks[node], running, int(event["code"]))
+
+    def _ended(self, task: Task, running: RunningStage, code: int) -> None:
+        if code == 0 and (record := self.planner.store.lookup(task.key, verify=False)) is not None:
+            self._accept(task, "done", record)
+            return
+        # A negative code is a signal's number: 128 + n is what a shell shows.
+        code = code if code > 0 else 128 - code
+        log = self.folder / "logs" / f"{task.node}.log"
+        message = running.last_error.get("message") or f"{EXIT_CODES.get(code, 'died')} (exit {code}); see {log}"
+        status: Status = "failed"
+        if code == WaitingError.exit_code:
+            status = "waiting"
+        elif code == InterruptedRun.exit_code or self._stopped:
+            status = "stopped"
+        self._close(task, status, error=message, exit_code=code)
+
+    def _accept(self, task: Task, status: Status, record: Record) -> None:
+        self.planner.outputs[task.node] = record.outputs
+        timings = record.timings
+        run = self._node_run(task, status).model_copy(
+            update={
+                "outputs": record.outputs,
+                "wall_s": timings.get("wall_s"),
+                "cpu_s": timings.get("cpu_s"),
+                "peak_memory_bytes": timings.get("peak_memory_bytes"),
+                "non_finite": timings.get("non_finite", {}),
+            }
+        )
+        self._results[task.node] = run
+        self.display.node(task.node, status, task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
+        self._save("running")
+
+    def _close(self, task: Task, status: Status, reason: str | None = None, **values: Any) -> None:
+        run = self._node_run(task, status).model_copy(update={"reason": reason or task.reason, **values})
+        self._results[task.node] = run
+        self.display.node(task.node, status, run.reason, **{k: v for k, v in values.items() if v is not None})
+        self._save("running")
+
+    def _node_run(self, task: Task, status: Status) -> NodeRun:
+        return NodeRun(
+            node=task.node,
+            status=status,
+            reason=task.reason,
+            changes=task.changes,
+            key=task.key,
+            components=task.components,
+        )
+
+    def _finish(self) -> RunRecord:
+        statuses = {r.status for r in self._results.values()}
+        status: RunStatus = "done"
+        for word in ("stopped", "waiting", "failed"):
+            if word in statuses:
+                status = word
+        if self._stopped:
+            status = "stopped"
+        missing = [n for n in self.planner.pipeline.order if n not in self._results]
+        for node in missing:
+            waits_for = sorted(self.planner.pipeline.upstream(node) - set(self.planner.outputs))
+            what = "pending" if node in self._chosen else "skipped"
+            self._results[node] = NodeRun(node=node, status=what, reason=f"after {', '.join(waits_for)}")
+        if status == "done" and any(self._results[n].status in ("pending", "skipped") for n in self._chosen):
+            status = "failed"
+        self._save(status, finished=True)
+        self.display.close()
+        return self.record
+
+    def _save(self, status: RunStatus, *, finished: bool = False) -> None:
+        ordered = [self._results[n] for n in self.planner.pipeline.order if n in self._results]
+        update: dict[str, Any] = {"status": status, "nodes": tuple(ordered)}
+        if finished:
+            update["finished"] = datetime.datetime.now(datetime.UTC).isoformat()
+            update["wall_s"] = round(time.monotonic() - self._began, 3)
+        self.record = self.record.model_copy(update=update)
+        self.planner.history.save(self.record)
+
+    @contextlib.contextmanager
+    def _signals(self) -> Generator[None]:
+        """SIGINT and SIGTERM stop the stages, which keep their checkpoints; a second one leaves at once."""
+
+        def stop(number: int, _frame: object) -> None:
+            if self._stopped:
+                os._exit(128 + number)
+            self._stopped = True
+            for running in self._running.values():
+                running.stop()
+
+        before = {s: signal.signal(s, stop) for s in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)

@@ -1,0 +1,68 @@
+"""A stage as a process of this machine."""
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.store import Store
+
+Event = tuple[str, Mapping[str, Any]]
+"""(node, what the shim said); the last one of a node is `{"event": "exit", "code": …}`."""
+
+
+@dataclass
+class RunningStage:
+    """A stage process, its events going into a queue shared by all."""
+
+    node: str
+    process: subprocess.Popen[str]
+    threads: int
+    last_error: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    def stop(self) -> None:
+        """Ask it to stop; its checkpoints are kept."""
+        if self.process.poll() is None:
+            self.process.terminate()
+
+
+def start(
+    node: str, spec: StageSpec, store: Store, invocation: Invocation, log: Path, events: "queue.Queue[Event]"
+) -> RunningStage:
+    """Start a stage; what it says arrives in `events`, what it prints in `log`."""
+    request = log.with_suffix(".invocation.json")
+    request.write_text(invocation.model_dump_json())
+    line = [
+        sys.executable, "-m", spec.spec.module, "run",
+        "--store", str(store.root.resolve()), "--invocation", str(request.resolve()),
+    ]  # fmt: skip
+    with log.open("w") as errors:
+        process = subprocess.Popen(
+            line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, text=True, env=_environment()
+        )
+    running = RunningStage(node, process, invocation.threads)
+    threading.Thread(target=_listen, args=(running, events), daemon=True).start()
+    return running
+
+
+def _environment() -> dict[str, str]:
+    # A terminal's control-C goes to the whole group; the orchestrator passes on SIGTERM itself.
+    return {**os.environ, "PYTHONUNBUFFERED": "1"}
+
+
+def _listen(running: RunningStage, events: "queue.Queue[Event]") -> None:
+    stream = running.process.stdout or ()  # it was asked for as a pipe
+    for line in stream:
+        try:
+            events.put((running.node, json.loads(line)))
+        except json.JSONDecodeError:
+            events.put((running.node, {"event": "log", "message": line.rstrip()}))
+    events.put((running.node, {"event": "exit", "code": running.process.wait()}))
