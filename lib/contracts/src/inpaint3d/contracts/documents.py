@@ -13,12 +13,10 @@ Location = tuple[int | str, ...]
 
 
 def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
-    """
-    The document's value, and the line (from 1) of every key and item in it.
+    """The document's value, and the line (from 1) of every key and item in it.
 
     Raises ConfigurationError naming the file and line where it cannot be read or is not YAML.
-    """
-    try:
+    """try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read {path}: {error}; give a YAML file") from error

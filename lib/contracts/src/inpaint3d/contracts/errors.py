@@ -1,5 +1,4 @@
-"""
-One exception tree, and the exit code that each branch leaves behind.
+"""One exception tree, and the exit code that each branch leaves behind.
 
     Inpaint3dError                1   a bug, or an error nobody foresaw
     ├── ConfigurationError        2   a parameter, pipeline.yaml, stage.yaml or request is wrong

@@ -1,5 +1,4 @@
-"""
-The key of a stage run: everything that its result depends on, and nothing else.
+"""The key of a stage run: everything that its result depends on, and nothing else.
 
 Not in it: resources, retries, threads, absolute paths. Two tiers (key -> outputs -> objects) give early
 cut-off: inputs are *content* digests, so that an upstream rerun that produces identical bytes reruns nothing.

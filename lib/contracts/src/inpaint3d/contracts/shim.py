@@ -1,10 +1,10 @@
-"""
-The shim in every stage: verify, validate, run, validate, hash, commit. The same as a process, in a container, in a pod.
+"""The shim in every stage: verify, validate, run, validate, hash, commit. The same as a process, in a container, in a pod.
 
     python -m inpaint3d.stages.NAME run --store DIR --invocation FILE    do the work, or find it done
     python -m inpaint3d.stages.NAME describe    ports, schemas, version, as JSON
 
-Events go to standard output as JSON lines; everything else that the stage or its libraries print goes to standard error.
+Events go to standard output as JSON lines; whatever else the stage or its libraries print
+goes to standard error.
 """
 
 import argparse

@@ -1,5 +1,4 @@
-"""
-The content-addressed store: artifacts by digest, results by key, visible whole or not at all.
+"""The content-addressed store: artifacts by digest, results by key, visible whole or not at all.
 
     objects/DIGEST/         an artifact: artifact.json and its files, read-only once there
     keys/KEY.json           the commit point: key -> output digests, components, provenance, times. Immutable

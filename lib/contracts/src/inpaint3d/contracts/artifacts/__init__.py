@@ -1,5 +1,4 @@
-"""
-Every artifact that stages exchange: one metadata model each, under a versioned schema id.
+"""Every artifact that stages exchange: one metadata model each, under a versioned schema id.
 
 The metadata names the files that hold the bulk; file layouts are described in each model. `SCHEMAS` is the registry.
 """

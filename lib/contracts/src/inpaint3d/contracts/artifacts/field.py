@@ -50,8 +50,7 @@ class FieldView(Closed):
 
 
 class RadianceFieldArtifact(Closed):
-    """
-    Weights (`weights.safetensors`), architecture, per-view renders, learning curve.
+    """Weights (`weights.safetensors`), architecture, per-view renders, learning curve.
 
     `learning_curve.csv`: step, rays, loss, psnr (held-out views, dB; empty where none was rendered).
     Wall and CPU times of the same steps are in the sidecar of the run, since equal results must have equal digests.

@@ -50,12 +50,12 @@ class Registration(Closed):
 
 
 class PosedCapture(Closed):
-    """
-    Cameras, undistorted frames and sparse points in the normalised world.
+    """Cameras, undistorted frames and sparse points in the normalised world.
 
     World: z up, the point of interest at the origin, every camera centre within the unit ball.
-    `points.safetensors`: xyz float32 [p, 3], rgb uint8 [p, 3], error float32 [p] (px), and tracks in compressed rows: track_offsets int64
-    [p + 1] into track_frame int32 [t] (index into `frames`) and track_xy float32 [t, 2] (pixels of the undistorted view).
+    `points.safetensors`: xyz float32 [p, 3], rgb uint8 [p, 3], error float32 [p] (px), and tracks in compressed
+    rows: track_offsets int64 [p + 1] into track_frame int32 [t] (index into `frames`) and track_xy float32 [t, 2]
+    (pixels of the undistorted view).
     """
 
     frames: tuple[PosedFrame, ...]

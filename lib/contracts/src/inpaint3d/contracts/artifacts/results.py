@@ -25,8 +25,7 @@ class Protocol(Closed):
 
 
 class Evaluation(Closed):
-    """
-    Figures by protocol; `per_view.csv`, `pictures/`, and a self-contained `report.html`.
+    """Figures by protocol; `per_view.csv`, `pictures/`, and a self-contained `report.html`.
 
     The report has one line `<!-- inpaint3d:run -->` where the orchestrator puts the run's times, which are
     not part of the artifact.
