@@ -53,7 +53,7 @@ def denoised_target_gradient(
 ) -> Image:
     """(x - x_hat) M, where x_hat is x noised to t and denoised by DDIM in `steps` steps.
 
-    The multi-step target of SparseFusion (arXiv:2212.00792, section 3.3) and ReconFusion (arXiv:2312.02981, eq. 4):
+    The multi-step target of SparseFusion (arXiv:2212.00792) and ReconFusion (arXiv:2312.02981):
     the gradient of half the squared distance to x_hat. SDS is the same direction with steps = 1 and weight
     alpha(t) sigma(t) (x - x_hat = (eps_hat - eps) sigma / alpha); more steps make x_hat one sharp picture instead of
     the mean of many, and a gradient whose size does not depend on t.
@@ -75,7 +75,7 @@ def denoised_target(
     noise_fill: Image | None = None,
     steps: int = 4,
 ) -> Image:
-    """The patch noised to t and denoised again, in [-1, 1], inside the hole (SDEdit, arXiv:2108.01073); x outside it."""
+    """The patch noised to t and denoised again, in [-1, 1] inside the hole (SDEdit, arXiv:2108.01073); x outside it."""
     x = x.detach()
     a, s = _levels(t)
 

@@ -20,12 +20,12 @@ def save_prior(path: Path, prior: InpaintingPrior, *, half: bool = False) -> Non
     path.write_bytes(save(weights))
 
 
-def load_prior(path: Path, spec: PriorSpec) -> InpaintingPrior:
+def load_prior(path: Path, spec: PriorSpec, *, bf16: bool = False) -> InpaintingPrior:
     """The prior of these weights, in float32, ready to be queried (no gradients).
 
     Raises ValueError where the weights are not those of the spec.
     """
-    prior = InpaintingPrior(spec)
+    prior = InpaintingPrior(spec, bf16=bf16)
     try:
         prior.load_state_dict({name: tensor.float() for name, tensor in load_file(path).items()})
     except RuntimeError as error:

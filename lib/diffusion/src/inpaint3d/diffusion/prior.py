@@ -30,12 +30,24 @@ class Estimate:
     noise: Image
 
 
-class InpaintingPrior(nn.Module):
-    """EfficientUNet plus the convention of its spec (conformance D5 to D11)."""
+def bf16_pays(device: str = "cpu") -> bool:
+    """Whether matrix products in bfloat16 are faster here: GPUs, and processors with AMX (1.8 times a training step).
 
-    def __init__(self, spec: PriorSpec, seed: int = 0) -> None:
+    Without AMX bfloat16 is a quarter to a half slower than float32.
+    """
+    return device != "cpu" or bool(torch.cpu.get_capabilities().get("amx_bf16", False))
+
+
+class InpaintingPrior(nn.Module):
+    """EfficientUNet plus the convention of its spec (conformance D5 to D11).
+
+    bf16: run the network under bfloat16 autocast. Weights, inputs and outputs stay float32.
+    """
+
+    def __init__(self, spec: PriorSpec, seed: int = 0, *, bf16: bool = False) -> None:
         super().__init__()
         self.spec = spec
+        self.bf16 = bf16
         channels = 6 if spec.condition == "noise-fill" else 7
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
@@ -70,7 +82,8 @@ class InpaintingPrior(nn.Module):
 
     def forward(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
         """The network's raw output; its meaning is `spec.prediction`."""
-        return self.network(self.network_input(z, fill, mask), cosine_log_snr(t)).float()
+        with torch.autocast(z.device.type, torch.bfloat16, enabled=self.bf16):
+            return self.network(self.network_input(z, fill, mask), cosine_log_snr(t)).float()
 
     def estimate(self, z: Image, t: Times, image: Image, mask: Mask, noise_fill: Image | None = None) -> Estimate:
         """Clean picture and noise under one condition, without guidance.

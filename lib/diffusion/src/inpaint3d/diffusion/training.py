@@ -45,9 +45,9 @@ class TrainingState:
     """(step, loss averaged since the entry before)."""
 
 
-def begin(spec: PriorSpec, seed: int, start: InpaintingPrior | None = None) -> TrainingState:
+def begin(spec: PriorSpec, seed: int, start: InpaintingPrior | None = None, *, bf16: bool = False) -> TrainingState:
     """A fresh state: random weights of this seed, or those of `start`, with a new optimiser."""
-    prior, average = InpaintingPrior(spec, seed), InpaintingPrior(spec, seed)
+    prior, average = InpaintingPrior(spec, seed, bf16=bf16), InpaintingPrior(spec, seed, bf16=bf16)
     if start is not None:
         prior.load_state_dict(start.state_dict())
         average.load_state_dict(start.state_dict())
