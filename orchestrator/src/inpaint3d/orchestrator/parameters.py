@@ -30,7 +30,8 @@ def resolved(pipeline: Pipeline, node: str, chosen: dict[str, Any]) -> dict[str,
     """The chosen parameters over the schema's defaults.
 
     Raises ConfigurationError naming the parameter, its value and what is allowed.
-    """schema = parameter_schema(pipeline, node)
+    """
+    schema = parameter_schema(pipeline, node)
     known: dict[str, Any] = schema.get("properties", {})
     for name in chosen:
         if name not in known:

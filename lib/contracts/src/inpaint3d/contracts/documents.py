@@ -16,7 +16,8 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     """The document's value, and the line (from 1) of every key and item in it.
 
     Raises ConfigurationError naming the file and line where it cannot be read or is not YAML.
-    """try:
+    """
+    try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read {path}: {error}; give a YAML file") from error
@@ -48,10 +49,12 @@ def _index(node: yaml.Node, at: Location, lines: dict[Location, int], path: Path
 
 
 def line_of(lines: dict[Location, int], at: Location) -> int:
-    """The line of a location, or of the nearest thing around it."""
-    while at and at not in lines:
-        at = at[:-1]
-    return lines.get(at, 1)
+    """The line of a place, or of the nearest thing around it. Tags of unions stand in `at` but not in the document."""
+    here: Location = ()
+    for part in at:
+        if (*here, part) in lines:
+            here = (*here, part)
+    return lines.get(here, 1)
 
 
 def load_document(path: Path, model: type[D]) -> tuple[D, dict[Location, int]]:

@@ -82,7 +82,8 @@ def build_manifest(root: Path, name: str, metadata: Closed) -> Manifest:
     """The manifest of a folder that a stage has filled, checked against the schema's model and its own files.
 
     Raises ArtifactError where the metadata is of another schema, or names a file that is not there.
-    """version, model = SCHEMAS[name]
+    """
+    version, model = SCHEMAS[name]
     if type(metadata) is not model:
         raise ArtifactError(f"{name}@{version} wants metadata {model.__name__}, got {type(metadata).__name__}")
     data = metadata.model_dump(mode="json")

@@ -1,4 +1,4 @@
-"""The shim in every stage: verify, validate, run, validate, hash, commit. The same as a process, in a container, in a pod.
+"""The shim in every stage: verify, validate, run, hash, commit. The same as a process, in a container, in a pod.
 
     python -m inpaint3d.stages.NAME run --store DIR --invocation FILE    do the work, or find it done
     python -m inpaint3d.stages.NAME describe    ports, schemas, version, as JSON

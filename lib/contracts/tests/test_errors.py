@@ -1,0 +1,16 @@
+from inpaint3d.contracts import errors
+
+
+def test_every_branch_has_its_own_exit_code():
+    branches = errors.Inpaint3dError.__subclasses__()
+    codes = [b.exit_code for b in branches]
+    assert len(set(codes)) == len(codes)
+    assert set(errors.EXIT_CODES) == {1, *codes}
+
+
+def test_the_drawing_in_the_docstring_is_the_tree():
+    for name, error in vars(errors).items():
+        if isinstance(error, type) and issubclass(error, errors.Inpaint3dError):
+            line = next(line for line in errors.__doc__.splitlines() if f"{name} " in line + " ")
+            if error is not errors.ArtifactError:
+                assert f" {error.exit_code} " in line
