@@ -1,0 +1,47 @@
+# Two commands do everything on a fresh machine with Python 3.11+, git, make and a C++ compiler: `make demo`, `make test`.
+SHELL := /bin/bash
+UV_HOME := .cache/uv-home
+UV := $(UV_HOME)/bin/uv
+export UV_COMPILE_BYTECODE := 1
+# One BLAS thread for each test process: two cores are shared by whatever a test starts.
+TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
+.PHONY: demo test check install schemas format clean
+.DEFAULT_GOAL := help
+
+help: ## what there is to make
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(UV):
+	python3 -m venv $(UV_HOME)
+	$(UV_HOME)/bin/pip install --quiet uv
+
+.venv/.installed: $(UV) pyproject.toml uv.lock $(wildcard lib/*/pyproject.toml stages/*/pyproject.toml orchestrator/pyproject.toml) $(shell find lib/kernels -name '*.cpp' -o -name '*.h' -o -name 'CMakeLists.txt')
+	$(UV) sync --locked
+	@touch $@
+
+install: .venv/.installed ## the locked environment in .venv
+
+demo: .venv/.installed ## take an object out of the demo capture; results in runs/demo
+	.venv/bin/inpaint3d run examples/demo/capture --mask examples/demo/mask.yaml --name demo
+
+test: .venv/.installed ## all tests: fast ones first, the real small pipeline last
+	$(TEST_ENV) .venv/bin/python -m pytest -q -m "not slow"
+	$(TEST_ENV) .venv/bin/python -m pytest -q -m slow
+
+check: .venv/.installed ## formatting, lint, types, import contracts, schema drift
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/basedpyright
+	.venv/bin/lint-imports
+	.venv/bin/python -m inpaint3d.contracts.schemas --check
+
+schemas: .venv/.installed ## write schemas/ from the models
+	.venv/bin/python -m inpaint3d.contracts.schemas
+
+format: .venv/.installed ## format and fix what can be fixed
+	.venv/bin/ruff format .
+	.venv/bin/ruff check --fix .
+
+clean: ## remove the environment and results (the store too)
+	rm -rf .venv .cache .inpaint3d runs
