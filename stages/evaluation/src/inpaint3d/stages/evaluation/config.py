@@ -1,0 +1,36 @@
+"""Parameters of the evaluation; defaults are the `standard` preset."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, Share
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class Config(Closed):
+    """What is measured, on how many views, at what size."""
+
+    render_longest_side: Count = Field(
+        default=240, description="pixels; photos, truth and renders are compared at this size (photos never enlarged)"
+    )
+    truth_views: Annotated[int, Field(ge=0)] = Field(
+        default=12, description="views scored against the truth at most, spread evenly; 0: none"
+    )
+    held_out_views: Annotated[int, Field(ge=0)] = Field(
+        default=4, description="test-split views scored at most, spread evenly; 0: none"
+    )
+    box_growth: Share = Field(
+        default=0.1, description="share by which the mask's bounding box grows in width and height (E1)"
+    )
+    ring: Share = Field(
+        default=0.08,
+        description="width of the ring around the mask, a share of the box's longer side, at least 2 px",
+    )
+    perceptual: bool = Field(default=True, description="LPIPS over both networks, FD-lite0 and KID-lite0")
+    picture_views: Annotated[int, Field(ge=0)] = Field(default=3, description="views shown side by side, of each kind")
+    contact_longest_side: Count = Field(
+        default=320, description="pixels; size of one panel of before_mask_after_depth.png"
+    )
+    block: Count = Field(default=4096, description="rays rendered at once; bounds memory, changes no result")

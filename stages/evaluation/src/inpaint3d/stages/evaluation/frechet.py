@@ -1,0 +1,47 @@
+"""Distances between two sets of feature vectors: Frechet (as in FID) and the kernel distance (as in KID)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Features = NDArray[np.float64]
+
+
+def frechet_distance(a: Features, b: Features) -> float:
+    """Squared Frechet distance of the Gaussians fitted to a [n, d] and b [m, d] (arXiv:1706.08500, eq. 6).
+
+    |mean_a - mean_b|^2 + tr(C_a + C_b - 2 (C_a C_b)^(1/2)). With centred rows A / sqrt(n - 1), whose
+    products are the covariances, the trace of the root is the sum of the singular values of A B^T: an n x m
+    problem, exact where n < d makes the covariances rank deficient. With few rows the value is mostly bias:
+    compare sets of equal size only. Raises ValueError for fewer than two rows.
+    """
+    for name, rows in (("first", a), ("second", b)):
+        if len(rows) < 2:
+            raise ValueError(f"a Frechet distance needs at least 2 vectors in each set; the {name} has {len(rows)}")
+    centred_a, centred_b = (_centred(rows) for rows in (a, b))
+    between = np.sum((a.mean(0) - b.mean(0)) ** 2)
+    root_trace = np.linalg.svd(centred_a @ centred_b.T, compute_uv=False).sum()
+    return float(max(0.0, between + np.sum(centred_a**2) + np.sum(centred_b**2) - 2.0 * root_trace))
+
+
+def kernel_distance(a: Features, b: Features) -> float:
+    """Unbiased squared maximum mean discrepancy, kernel (x.y / d + 1)^3 (KID, arXiv:1801.01401, eq. 4).
+
+    Being unbiased, it may fall below 0 for sets of one distribution. Raises ValueError for fewer than two
+    rows.
+    """
+    n, m = len(a), len(b)
+    if min(n, m) < 2:
+        raise ValueError(f"a kernel distance needs at least 2 vectors in each set; there are {n} and {m}")
+
+    def kernel(x: Features, y: Features) -> NDArray[np.float64]:
+        return (x @ y.T / x.shape[1] + 1.0) ** 3
+
+    within_a, within_b = kernel(a, a), kernel(b, b)
+    # a vector paired with itself is what would make the estimate biased
+    mean_a = (within_a.sum() - np.trace(within_a)) / (n * (n - 1))
+    mean_b = (within_b.sum() - np.trace(within_b)) / (m * (m - 1))
+    return float(mean_a + mean_b - 2.0 * kernel(a, b).mean())
+
+
+def _centred(rows: Features) -> Features:
+    return (rows - rows.mean(0)) / np.sqrt(len(rows) - 1)

@@ -1,0 +1,67 @@
+"""The radiance fields under test, and what they render."""
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import RadianceFieldArtifact
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.io import load_field
+from inpaint3d.radiance.rendering import render_view
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.stages.evaluation.boxes import Box
+
+Maps = dict[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Held-out PSNR (dB) after so many steps."""
+
+    step: int
+    psnr: float
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """A field with its name in the tables."""
+
+    label: str
+    field: RadianceField
+    artifact: Artifact[RadianceFieldArtifact]
+
+    def render(self, camera: Camera, block: int, box: Box | None = None) -> Maps:
+        """Colour rgb [h, w, 3], opacity and depth along the axis [h, w], mean code; of a box, or the whole view."""
+        maps = render_view(self.field, camera if box is None else cropped(camera, box), block=block)
+        return {name: maps[name] for name in ("rgb", "opacity", "depth")}
+
+
+def load_methods(artifacts: list[Artifact[RadianceFieldArtifact]], device: str) -> list[Method]:
+    """The fields in the order they are wired; labels that repeat get a number."""
+    methods: list[Method] = []
+    for artifact in artifacts:
+        label = artifact.metadata.label
+        same = sum(m.artifact.metadata.label == label for m in methods)
+        field = load_field(artifact.path(artifact.metadata.weights), artifact.metadata.spec).to(device).eval()
+        methods.append(Method(f"{label} #{same + 1}" if same else label, field, artifact))
+    return methods
+
+
+def cropped(camera: Camera, box: Box) -> Camera:
+    """The camera of a part of its picture: the same rays, counted from the box's corner."""
+    return replace(camera, cx=camera.cx - box.x0, cy=camera.cy - box.y0, width=box.width, height=box.height)
+
+
+def count_non_finite(maps: Maps) -> int:
+    """How many values of a render are not finite."""
+    return int(sum(np.count_nonzero(~np.isfinite(values)) for values in maps.values()))
+
+
+def read_curve(path: Path) -> list[CurvePoint]:
+    """The rows of a learning curve at which held-out views were rendered."""
+    with path.open(newline="") as file:
+        return [CurvePoint(int(r["step"]), float(r["psnr"])) for r in csv.DictReader(file) if r.get("psnr")]

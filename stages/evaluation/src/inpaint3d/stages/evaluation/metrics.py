@@ -1,0 +1,67 @@
+"""PSNR and SSIM of sRGB-encoded pictures in [0, 1], over all pixels or over a mask."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+PSNR_CEILING_DB = 100.0
+SSIM_SIGMA = 1.5
+SSIM_RADIUS = 5  # an 11x11 window
+
+
+def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
+    """Peak signal-to-noise ratio, dB, over `region` ([h, w]; None: everywhere) and the three channels.
+
+    Equal pictures would give infinity, which no table holds: the value stops at 100 dB (a mean square of
+    1e-10). Raises ValueError where the region is empty or the shapes differ.
+    """
+    squared = np.square(_checked(image, truth).astype(np.float64) - truth)
+    if region is not None:
+        squared = squared[region]
+    if squared.size == 0:
+        raise ValueError("PSNR over no pixel: the region is empty")
+    return float(min(PSNR_CEILING_DB, -10.0 * np.log10(max(squared.mean(), 1e-10))))
+
+
+def ssim_map(image: Image, truth: Image) -> NDArray[np.float64]:
+    """Structural similarity at each pixel, [h, w], mean over channels.
+
+    Wang et al. 2004: Gaussian window of sigma 1.5 cut to 11x11, K1 = 0.01, K2 = 0.03, range 1, population
+    covariance. Borders are mirrored.
+    """
+    from skimage.filters import gaussian
+
+    def blur(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        truncate = SSIM_RADIUS / SSIM_SIGMA
+        return gaussian(values, SSIM_SIGMA, mode="reflect", truncate=truncate, channel_axis=-1, preserve_range=True)
+
+    x, y = _checked(image, truth).astype(np.float64), truth.astype(np.float64)
+    c1, c2 = 0.01**2, 0.03**2
+    mean_x, mean_y = blur(x), blur(y)
+    variance_x, variance_y = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2
+    covariance = blur(x * y) - mean_x * mean_y
+    luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
+    structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
+    return (luminance * structure).mean(-1)
+
+
+def ssim(image: Image, truth: Image, region: Mask | None = None) -> float:
+    """Mean of `ssim_map` over `region` ([h, w]), or over the pixels whose whole window lies in the picture.
+
+    A picture smaller than the window is averaged everywhere. Raises ValueError where the region is empty.
+    """
+    values = ssim_map(image, truth)
+    if region is not None:
+        if not region.any():
+            raise ValueError("SSIM over no pixel: the region is empty")
+        return float(values[region].mean())
+    inner = values[SSIM_RADIUS:-SSIM_RADIUS, SSIM_RADIUS:-SSIM_RADIUS]
+    return float(inner.mean() if inner.size else values.mean())
+
+
+def _checked(image: Image, truth: Image) -> Image:
+    if image.shape != truth.shape or image.ndim != 3:
+        raise ValueError(f"pictures to compare are {image.shape} and {truth.shape}; both must be the same [h, w, 3]")
+    return image

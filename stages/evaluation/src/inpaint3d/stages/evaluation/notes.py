@@ -1,0 +1,53 @@
+"""What a reader should know before trusting the figures: fixed limits, and whatever came out weak in this run."""
+
+from collections.abc import Sequence
+
+from inpaint3d.contracts.artifacts import MaskSet, Metric, Protocol
+from inpaint3d.stages.evaluation import protocols as names
+
+_LIMITS = (
+    "What is behind the mask was made up. Several fillings can be right; PSNR and SSIM favour the blurred "
+    "average of them, LPIPS and the pictures say more.",
+    "FD-lite0 and KID-lite0 use EfficientNet-Lite0's features, since Inception's weights come with no "
+    "package: they are not FID and KID, and must not be compared with published figures.",
+    "The time that each stage took, where a run adds it, is not part of the result: equal results have equal digests.",
+)
+
+
+def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: bool) -> list[str]:
+    """Sentences on what is weak for the method `first`, then the limits of the figures."""
+    found: list[str] = []
+    box = _values(done, names.BOX, "psnr")
+    if names.MEAN_SURROUND in box and box[first] <= box[names.MEAN_SURROUND]:
+        found.append(
+            f"Weak: {first} does not beat a hole filled with the mean colour of its surround "
+            f"({box[first]:.2f} against {box[names.MEAN_SURROUND]:.2f} dB)."
+        )
+    known = _values(done, names.HELD_OUT, "psnr")
+    for baseline in (names.MEAN_COLOUR, names.WARPED):
+        if baseline in known and known[first] <= known[baseline]:
+            found.append(
+                f"Weak: outside the mask {first} does not beat {baseline} on held-out photos "
+                f"({known[first]:.2f} against {known[baseline]:.2f} dB)."
+            )
+    opaque = _values(done, names.STATISTICS, "opaque_share").get(first)
+    if opaque is not None and opaque < 0.95:
+        found.append(f"Weak: {1 - opaque:.0%} of the hole's pixels are less than 95 % opaque; fog or gaps remain.")
+    ratio = _values(done, names.STATISTICS, "gradient_ratio").get(first)
+    if ratio is not None and not 0.4 <= ratio <= 2.5:
+        look = "blurred" if ratio < 0.4 else "noisy"
+        found.append(f"Weak: the filling looks {look} (gradient energy {ratio:.2f} of its surround's).")
+    if masks.consistency is not None and masks.consistency < 0.7:
+        found.append(f"Weak: masks of neighbouring views agree badly (mean IoU {masks.consistency:.2f}).")
+    if not truth:
+        found.append(
+            "The capture has no views of the scene without the object: nothing here says whether the filling is true."
+        )
+    if not known:
+        found.append("No held-out view could be scored: the field is untested outside the mask.")
+    return [*found, *_LIMITS]
+
+
+def _values(done: Sequence[Protocol], protocol: str, figure: str) -> dict[str, float]:
+    metrics: list[Metric] = [m for p in done if p.name == protocol for m in p.metrics]
+    return {m.method: m.value for m in metrics if m.name == figure}

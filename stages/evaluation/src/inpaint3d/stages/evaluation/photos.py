@@ -1,0 +1,86 @@
+"""Posed photos at the size that everything is measured at."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import MaskSet, MaskView
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.capture_io import View
+from inpaint3d.scene.image_io import Image, Mask, read_mask
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """One photo [h, w, 3] with its camera at that size.
+
+    hole [h, w]: at least half of the pixel lies inside the mask; known [h, w]: none of it does, and the
+    camera saw it.
+    """
+
+    name: str
+    split: str
+    camera: Camera
+    image: Image
+    hole: Mask
+    known: Mask
+
+
+def load_photo(view: View, mask: Mask | None, longest_side: int) -> Photo:
+    """Read a view and reduce it by exact area means. Raises BadInputError where the mask has another size."""
+    full = (view.camera.height, view.camera.width)
+    mask = np.zeros(full, bool) if mask is None else mask
+    if mask.shape != full:
+        raise BadInputError(
+            f"the mask of view {view.name} is {mask.shape[1]}x{mask.shape[0]} but its frame is "
+            f"{full[1]}x{full[0]}; re-run mask-authoring on these frames"
+        )
+    camera = reduced_camera(view.camera, longest_side)
+    size = (camera.height, camera.width)
+    coverage, unseen = (area_resized(m.astype(np.float32), size) for m in (mask, ~view.valid()))
+    return Photo(
+        name=view.name,
+        split=view.split,
+        camera=camera,
+        image=area_resized(view.image(), size),
+        hole=coverage >= 0.5,
+        known=(coverage < 1e-6) & (unseen < 1e-6),
+    )
+
+
+def reduced_camera(camera: Camera, longest_side: int) -> Camera:
+    """The camera with its longest side reduced to at most `longest_side` pixels; never enlarged."""
+    factor = min(1.0, longest_side / max(camera.width, camera.height))
+    return camera.scaled(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+
+
+def area_resized(values: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """[h, w] or [h, w, c] at another size (height, width), each pixel the mean of the area that it covers."""
+    from skimage.transform import resize_local_mean
+
+    if values.shape[:2] == size:
+        return values
+    channel_axis = 2 if values.ndim == 3 else None
+    resized = resize_local_mean(values, size, channel_axis=channel_axis, preserve_range=True)
+    return np.asarray(resized, np.float32)
+
+
+def read_masks(masks: Artifact[MaskSet], views: Sequence[MaskView]) -> dict[str, Mask]:
+    """The masks of some views of a mask-set, by the name of the view."""
+    return {view.name: read_mask(masks.path(view.mask)) for view in views}
+
+
+def evenly_chosen(items: Sequence[T], count: int) -> list[T]:
+    """At most `count` items, spread evenly over the list; its ends are among them where there are two or more."""
+    if count >= len(items):
+        return list(items)
+    if count <= 1:
+        return [items[len(items) // 2]] if count == 1 else []
+    return [items[round(i * (len(items) - 1) / (count - 1))] for i in range(count)]

@@ -1,0 +1,210 @@
+"""The protocols, one function each: what is compared with what, on which pixels."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from inpaint3d.contracts.artifacts import Metric, Protocol
+from inpaint3d.scene.image_io import Image
+from inpaint3d.stages.evaluation import lpips
+from inpaint3d.stages.evaluation.baselines import (
+    interpolated_depth,
+    mean_colour,
+    mean_surround,
+    nearest_photo_warped,
+    ring_around,
+)
+from inpaint3d.stages.evaluation.boxes import mask_box
+from inpaint3d.stages.evaluation.config import Config
+from inpaint3d.stages.evaluation.features import lite0_features
+from inpaint3d.stages.evaluation.frechet import frechet_distance, kernel_distance
+from inpaint3d.stages.evaluation.hole import gradient_ratio, opacity_figures
+from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
+from inpaint3d.stages.evaluation.metrics import psnr, ssim
+from inpaint3d.stages.evaluation.photos import Photo
+from inpaint3d.stages.evaluation.scores import Scores, metric
+
+BOX = "hole-box-vs-truth"
+HOLE = "hole-only-vs-truth"
+HELD_OUT = "held-out-known-pixels"
+STATISTICS = "hole-statistics"
+MEAN_SURROUND = "mean-surround"
+MEAN_COLOUR = "mean-colour"
+WARPED = "nearest-photo-warped"
+
+Tick = Callable[[str], None]
+
+
+@dataclass
+class Bench:
+    """What all protocols share: the methods, the table, the renders so far, and the count of non-finite values."""
+
+    methods: list[Method]
+    config: Config
+    tick: Tick
+    scores: Scores = field(default_factory=Scores)
+    non_finite: dict[str, int] = field(default_factory=dict)
+    renders: dict[tuple[str, str], Maps] = field(default_factory=dict)
+
+    def full_render(self, method: Method, photo: Photo) -> Maps:
+        """The whole view, rendered once."""
+        key = (method.label, photo.name)
+        if key not in self.renders:
+            self.renders[key] = method.render(photo.camera, self.config.block)
+            self.tick(f"{method.label} in {photo.name}")
+        return self.renders[key]
+
+    def usable(self, renders: dict[str, Maps], view: str) -> bool:
+        """Count the non-finite values of a view's renders; a view that has any is left out for every method."""
+        counts = {label: count_non_finite(maps) for label, maps in renders.items()}
+        for label, count in counts.items():
+            if count:
+                place = f"{label}/{view}"
+                self.non_finite[place] = max(count, self.non_finite.get(place, 0))
+        return not any(counts.values())
+
+
+def against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+    """`hole-box-vs-truth` and `hole-only-vs-truth`: crops around the hole against views that show what is behind it."""
+    config = bench.config
+    crops: dict[str, list[Image]] = {}
+    truths: list[Image] = []
+    for photo in photos:
+        tight, box = mask_box(photo.hole, 0.0), mask_box(photo.hole, config.box_growth)
+        if tight is None or box is None:
+            continue
+        ring = ring_width(config, tight.width, tight.height)
+        outer = box.grown(ring, ring, photo.camera.width, photo.camera.height)
+        renders = {m.label: m.render(photo.camera, config.block, outer) for m in bench.methods}
+        bench.tick(f"crops of {photo.name}")
+        if not bench.usable(renders, photo.name):
+            continue
+        pictures = {label: maps["rgb"] for label, maps in renders.items()}
+        first = pictures[bench.methods[0].label]
+        pictures[MEAN_SURROUND] = mean_surround(first, photo.hole[outer.slices], ring)
+        truth, hole = photo.image[box.slices], photo.hole[box.slices]
+        for label, picture in pictures.items():
+            crop = np.ascontiguousarray(picture[box.within(outer).slices])
+            crops.setdefault(label, []).append(crop)
+            bench.scores.add(BOX, label, photo.name, compared(crop, truth, perceptual=config.perceptual))
+            bench.scores.add(HOLE, label, photo.name, {"psnr": psnr(crop, truth, hole)})
+        truths.append(truth)
+    if not truths:
+        return []
+    sets = set_distances(crops, truths) if config.perceptual and len(truths) >= 2 else []
+    return [
+        Protocol(name=BOX, description=_box_text(bench, len(truths)), metrics=(*bench.scores.means(BOX), *sets)),
+        Protocol(name=HOLE, description=_hole_text(len(truths)), metrics=tuple(bench.scores.means(HOLE))),
+    ]
+
+
+def held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayLike) -> list[Protocol]:
+    """`held-out-known-pixels`: test views outside the mask, beside two baselines that learn nothing."""
+    average = mean_colour(train)
+    done = 0
+    for photo in test:
+        renders = {m.label: bench.full_render(m, photo) for m in bench.methods}
+        if not photo.known.any() or not bench.usable(renders, photo.name):
+            continue
+        pictures = {label: maps["rgb"] for label, maps in renders.items()}
+        pictures[MEAN_COLOUR] = np.broadcast_to(average, photo.image.shape)
+        depth = interpolated_depth(photo.camera, points)
+        # without a sparse point in the view nothing can be warped: the baseline falls back to the mean colour
+        pictures[WARPED] = (
+            pictures[MEAN_COLOUR] if depth is None else nearest_photo_warped(photo.camera, depth, train, average)
+        )
+        for label, picture in pictures.items():
+            # Unknown pixels are made equal, so that windows and features that touch them see no difference there.
+            shown = np.where(photo.known[..., None], picture, photo.image).astype(np.float32)
+            figures = compared(shown, photo.image, perceptual=bench.config.perceptual, region=photo.known)
+            bench.scores.add(HELD_OUT, label, photo.name, figures)
+        done += 1
+    if not done:
+        return []
+    return [
+        Protocol(
+            name=HELD_OUT,
+            description=f"{done} photos kept out of training, at most {bench.config.render_longest_side} px a "
+            "side; pixels outside the mask only. PSNR and SSIM are means over known pixels; for SSIM's windows and "
+            "LPIPS the other pixels are set to the photo's own, which lowers LPIPS alike for every "
+            f"method. Fields use the mean exposure code. {MEAN_COLOUR}: the mean colour of the training "
+            f"photos' known pixels; {WARPED}: the nearest training photo, warped by depth interpolated "
+            "between the sparse points.",
+            metrics=tuple(bench.scores.means(HELD_OUT)),
+        )
+    ]
+
+
+def hole_statistics(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+    """`hole-statistics`: what needs no truth: is the hole opaque, and is it as lively as its surround?"""
+    done = 0
+    for photo in photos:
+        box = mask_box(photo.hole, 0.0)
+        renders = {m.label: bench.full_render(m, photo) for m in bench.methods}
+        if box is None or not bench.usable(renders, photo.name):
+            continue
+        ring = ring_around(photo.hole, ring_width(bench.config, box.width, box.height)) & photo.known
+        for label, maps in renders.items():
+            figures = opacity_figures(maps["opacity"], photo.hole)
+            ratio = gradient_ratio(maps["rgb"], photo.hole, ring)
+            if ratio is not None:
+                figures["gradient_ratio"] = ratio
+            bench.scores.add(STATISTICS, label, photo.name, figures)
+        done += 1
+    if not done:
+        return []
+    return [
+        Protocol(
+            name=STATISTICS,
+            description=f"Inside the mask of {done} views of the capture; needs no truth. Opacity below 1 is fog "
+            "or a gap. Gradient energy of the render inside the mask over that in a ring around it: near 1 is "
+            "alike, near 0 is blurred, well above 1 is noise.",
+            metrics=tuple(bench.scores.means(STATISTICS)),
+        )
+    ]
+
+
+def compared(picture: Image, truth: Image, *, perceptual: bool, region: np.ndarray | None = None) -> dict[str, float]:
+    """PSNR, SSIM and (where wanted) both LPIPS of one pair."""
+    figures = {"psnr": psnr(picture, truth, region), "ssim": ssim(picture, truth, region)}
+    if perceptual:
+        figures["lpips_vgg"] = lpips.load("vgg").distance(picture, truth)
+        figures["lpips_alex"] = lpips.load("alex").distance(picture, truth)
+    return figures
+
+
+def set_distances(crops: dict[str, list[Image]], truths: list[Image]) -> list[Metric]:
+    """FD-lite0 and KID-lite0 of each method's crops to the truth's."""
+    real = lite0_features(truths)
+    out: list[Metric] = []
+    for label, pictures in crops.items():
+        made = lite0_features(pictures)
+        out.append(metric(label, "fd_lite0", frechet_distance(made, real), len(truths)))
+        out.append(metric(label, "kid_lite0", kernel_distance(made, real), len(truths)))
+    return out
+
+
+def ring_width(config: Config, width: int, height: int) -> int:
+    """Pixels of the ring around a mask whose tight box is width x height."""
+    return max(2, round(config.ring * max(width, height)))
+
+
+def _box_text(bench: Bench, n: int) -> str:
+    config = bench.config
+    return (
+        f"{n} views that show what is really behind the hole, at most {config.render_longest_side} px a "
+        f"side. Each method is cropped to the bounding box of the mask grown by {config.box_growth:.0%}, "
+        "and compared with the truth there; views with an empty mask are skipped, every method is on the "
+        "same crops. SSIM: Gaussian 11x11 window, sigma 1.5. LPIPS v0.1 on [-1, 1]; crops with a side "
+        "under 64 px are enlarged for it. FD-lite0 and KID-lite0 are the Frechet and the kernel distance "
+        f"of {n} against {n} crops over EfficientNet-Lite0's 1280 pooled features: not FID and not KID, "
+        f"rank deficient for n = {n} < 1280 and mostly bias at so few views; only comparisons within this "
+        f"table mean anything. {MEAN_SURROUND}: the render of {bench.methods[0].label} with its hole "
+        "filled by the mean colour of a ring around it."
+    )
+
+
+def _hole_text(n: int) -> str:
+    return f"The same {n} views; only pixels inside the mask itself."

@@ -1,0 +1,163 @@
+"""Score the fields by every protocol that the inputs allow, draw them, and write the report."""
+
+from pathlib import Path
+
+import torch
+
+from inpaint3d.contracts.artifacts import Evaluation, MaskSet, PosedCapture, PosedTruth, RadianceFieldArtifact
+from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.scene.capture_io import load_points, load_posed
+from inpaint3d.scene.image_io import write_png
+from inpaint3d.stages.evaluation.config import Config
+from inpaint3d.stages.evaluation.methods import Method, load_methods, read_curve
+from inpaint3d.stages.evaluation.notes import weaknesses
+from inpaint3d.stages.evaluation.photos import (
+    Photo,
+    evenly_chosen,
+    load_photo,
+    read_masks,
+    reduced_camera,
+)
+from inpaint3d.stages.evaluation.pictures import coloured_depth, hidden, outlined, showing_most, side_by_side
+from inpaint3d.stages.evaluation.protocols import Bench, Tick, against_truth, held_out, hole_statistics
+from inpaint3d.stages.evaluation.report import Curve, Report, Strip, write_report
+
+CONTACT = "pictures/before_mask_after_depth.png"
+
+
+def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
+    """Evaluate the fields; nothing is written before every protocol is done."""
+    torch.set_num_threads(ctx.threads)
+    capture = inputs.one("posed-capture", PosedCapture)
+    masks = inputs.one("mask-set", MaskSet)
+    truth = inputs.optional("posed-truth", PosedTruth)
+    methods = load_methods(inputs.many("radiance-fields", RadianceFieldArtifact), ctx.device)
+    if not methods:
+        raise BadInputError("evaluation needs at least one radiance field; wire one to its input radiance-fields")
+
+    photos = _captured(capture, masks, config.render_longest_side)
+    truths = _truths(truth, masks, config)
+    train = [p for p in photos if p.split == "train"]
+    test = evenly_chosen([p for p in photos if p.split == "test"], config.held_out_views)
+    # Statistics of the hole reuse the renders of held-out views where there are any.
+    shown = test or evenly_chosen(train, min(len(train), max(1, config.picture_views)))
+
+    steps = (
+        len(truths) + len(methods) * (len({p.name for p in test + shown}) + min(len(truths), config.picture_views)) + 1
+    )
+    bench = Bench(methods, config, tick=_counter(ctx, steps))
+    points = load_points(capture.path(capture.metadata.points)).xyz
+    done = [
+        *against_truth(bench, truths),
+        *held_out(bench, test, train, points),
+        *hole_statistics(bench, shown),
+    ]
+
+    folder = outputs.folder("evaluation")
+    (folder / "pictures").mkdir()
+    contact = _contact(bench, capture, masks, folder)
+    strips = [
+        *_strips(bench, evenly_chosen(truths, config.picture_views), folder, "truth"),
+        *_strips(bench, evenly_chosen(shown, config.picture_views), folder, "photo"),
+    ]
+    bench.scores.write(folder / "per_view.csv")
+    ctx.non_finite.update(bench.non_finite)
+    report = Report(
+        title="Inpainted scene: evaluation",
+        hole=_hole_in_words(masks.metadata, len(photos)),
+        protocols=done,
+        contact=contact,
+        strips=strips,
+        curves=_curves(methods),
+        notes=weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths)),
+        non_finite=bench.non_finite,
+    )
+    write_report(folder / "report.html", report)
+    outputs.write(
+        "evaluation",
+        Evaluation(
+            protocols=tuple(done),
+            pictures=tuple(str(p.relative_to(folder)) for p in sorted((folder / "pictures").iterdir())),
+            non_finite=bench.non_finite,
+        ),
+    )
+    ctx.progress(steps, steps, "report written")
+
+
+def _captured(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], longest_side: int) -> list[Photo]:
+    """Every photo of the capture with its mask. Raises BadInputError for a photo without a mask."""
+    known = read_masks(masks, masks.metadata.views)
+    views = load_posed(capture)
+    if missing := [v.name for v in views if v.name not in known]:
+        raise BadInputError(
+            f"mask-set has no mask for view {missing[0]} ({len(missing)} in all); re-run mask-authoring"
+        )
+    return [load_photo(view, known[view.name], longest_side) for view in views]
+
+
+def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config: Config) -> list[Photo]:
+    """Truth views that show some of the hole, spread evenly; where no mask was made, the one that came with a view."""
+    if truth is None:
+        return []
+    drawn = read_masks(masks, masks.metadata.truth_views)
+    photos = []
+    for view in load_posed(truth):
+        mask = drawn.get(view.name)
+        mask = view.mask() if mask is None else mask
+        if mask is not None and mask.any():
+            photos.append(load_photo(view, mask, config.render_longest_side))
+    return evenly_chosen(photos, config.truth_views)
+
+
+def _contact(bench: Bench, capture: Artifact[PosedCapture], masks: Artifact[MaskSet], folder: Path) -> Strip:
+    """Before, mask, after, depth: the first field in the view that shows the hole best."""
+    views = load_posed(capture)
+    known = read_masks(masks, masks.metadata.views)
+    view = views[showing_most([known[v.name] for v in views])]
+    camera = reduced_camera(view.camera, bench.config.contact_longest_side)
+    photo = load_photo(view, known[view.name], max(camera.width, camera.height))
+    maps = bench.methods[0].render(photo.camera, bench.config.block)
+    bench.tick(f"contact picture of {view.name}")
+    panels = [photo.image, hidden(photo.image, photo.hole), maps["rgb"], coloured_depth(maps["depth"])]
+    write_png(folder / CONTACT, side_by_side(panels))
+    return Strip(view.name, folder / CONTACT, ("before", "mask", f"after ({bench.methods[0].label})", "depth"))
+
+
+def _strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[Strip]:
+    """One row of panels for each view: the photo with its mask, every field, the first field's depth, the truth."""
+    strips = []
+    for photo in photos:
+        renders = [bench.full_render(m, photo) for m in bench.methods]
+        panels = [outlined(photo.image, photo.hole), *(r["rgb"] for r in renders), coloured_depth(renders[0]["depth"])]
+        captions = [f"{kind}, hole outlined", *(m.label for m in bench.methods), f"depth of {bench.methods[0].label}"]
+        if kind == "truth":
+            panels.append(photo.image)
+            captions.append("truth")
+        file = folder / "pictures" / f"{kind}_{photo.name}.png"
+        write_png(file, side_by_side(panels))
+        strips.append(Strip(f"{kind} {photo.name}", file, captions))
+    return strips
+
+
+def _curves(methods: list[Method]) -> list[Curve]:
+    found = [(m.label, read_curve(m.artifact.path(m.artifact.metadata.learning_curve))) for m in methods]
+    return [Curve(label, [(float(p.step), p.psnr) for p in points]) for label, points in found if points]
+
+
+def _hole_in_words(masks: MaskSet, views: int) -> str:
+    share = sum(v.share for v in masks.views) / max(1, len(masks.views))
+    how = {"inpaint": "The hole", "outpaint": "Everything outside the sphere"}[masks.task]
+    return f"{how} covers {share:.1%} of a view on average, over {views} views. Mask: {masks.origin}; {masks.method}."
+
+
+def _counter(ctx: Context, total: int) -> Tick:
+    done = 0
+
+    def tick(message: str) -> None:
+        nonlocal done
+        done += 1
+        ctx.progress(min(done, total), total, message)
+
+    return tick

@@ -1,0 +1,99 @@
+"""Figures by protocol, method and view; their means are what the artifact states."""
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from inpaint3d.contracts.artifacts import Metric
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a figure is written and read."""
+
+    title: str
+    unit: str
+    better: str
+    digits: int
+
+
+KINDS: dict[str, Kind] = {
+    "psnr": Kind("PSNR", "dB", "higher", 2),
+    "ssim": Kind("SSIM", "1", "higher", 3),
+    "lpips_vgg": Kind("LPIPS (VGG)", "1", "lower", 3),
+    "lpips_alex": Kind("LPIPS (Alex)", "1", "lower", 3),
+    "fd_lite0": Kind("FD-lite0", "1", "lower", 1),
+    "kid_lite0": Kind("KID-lite0", "1", "lower", 4),
+    "opacity_mean": Kind("opacity, mean", "1", "higher", 3),
+    "opacity_min": Kind("opacity, least", "1", "higher", 3),
+    "opaque_share": Kind("share of opacity ≥ 0.95", "1", "higher", 3),
+    "gradient_ratio": Kind("gradient energy, hole : surround", "1", "nearer 1", 2),
+}
+
+
+@dataclass(frozen=True)
+class Score:
+    """One figure of one view."""
+
+    protocol: str
+    method: str
+    view: str
+    metric: str
+    value: float
+
+
+@dataclass
+class Scores:
+    """Figures in the order they were taken."""
+
+    rows: list[Score] = field(default_factory=list)
+
+    def add(self, protocol: str, method: str, view: str, figures: dict[str, float]) -> None:
+        self.rows += [Score(protocol, method, view, name, rounded(value)) for name, value in figures.items()]
+
+    def means(self, protocol: str) -> list[Metric]:
+        """One Metric for each method and figure of a protocol: the mean over its views."""
+        groups: dict[tuple[str, str], list[float]] = {}
+        for row in self.rows:
+            if row.protocol == protocol:
+                groups.setdefault((row.method, row.metric), []).append(row.value)
+        return [metric(method, name, float(np.mean(v)), len(v)) for (method, name), v in groups.items()]
+
+    def write(self, path: Path) -> None:
+        """A table: protocol, method, view, metric, value."""
+        with path.open("w", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(["protocol", "method", "view", "metric", "value"])
+            table.writerows((r.protocol, r.method, r.view, r.metric, r.value) for r in self.rows)
+
+
+def metric(method: str, name: str, value: float, views: int) -> Metric:
+    """A figure in the artifact's form."""
+    kind = KINDS[name]
+    return Metric(method=method, name=name, value=rounded(value), unit=kind.unit, better=kind.better, views=views)
+
+
+def best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
+    """(method, name) of the best figure of each name; all of them where several are equal."""
+    by_name: dict[str, list[Metric]] = {}
+    for m in metrics:
+        by_name.setdefault(m.name, []).append(m)
+    winners: set[tuple[str, str]] = set()
+    for name, group in by_name.items():
+        top = max(_merit(m) for m in group)
+        winners |= {(m.method, name) for m in group if _merit(m) == top} if len(group) > 1 else set()
+    return winners
+
+
+def rounded(value: float) -> float:
+    """Six decimals: sums differ beyond them with the number of threads."""
+    return round(float(value), 6)
+
+
+def _merit(m: Metric) -> float:
+    if m.better == "nearer 1":
+        return -abs(np.log(max(m.value, 1e-12)))
+    return m.value if m.better == "higher" else -m.value

@@ -1,0 +1,222 @@
+"""The whole stage on the synthetic room, with tiny fields of known quality: real artifacts, real store, real shim."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from inpaint3d.contracts.artifacts import (
+    Evaluation,
+    FieldSpec,
+    GridSpec,
+    LensModel,
+    MaskSet,
+    MaskView,
+    PosedCapture,
+    PosedTruth,
+    RadianceFieldArtifact,
+    Registration,
+)
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.shim import Invocation, execute
+from inpaint3d.contracts.store import Store
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.io import save_field
+from inpaint3d.scene.capture_io import write_points, write_view
+from inpaint3d.scene.image_io import write_mask
+from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+
+TINY = {
+    "render_longest_side": 24,
+    "truth_views": 3,
+    "held_out_views": 1,
+    "picture_views": 1,
+    "contact_longest_side": 24,
+}
+SPEC = FieldSpec(
+    proposal_grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=8, channels=1),
+    proposal_samples=(4,),
+    grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=8, channels=2),
+    samples=4,
+    density_width=8,
+    bottleneck=4,
+    view_width=8,
+    view_layers=1,
+    far=10.0,
+)
+
+
+def posed(store: Store, scene: SyntheticScene) -> str:
+    folder = store.private_folder()
+    frames = tuple(
+        write_view(folder, name, image, camera, split="test" if i == 2 else "train")
+        for i, (name, image, camera) in enumerate(zip(scene.names, scene.images, scene.cameras, strict=True))
+    )
+    write_points(folder / "points.safetensors", scene.points)
+    registration = Registration(
+        source="known", given=8, registered=8, mean_reprojection_error_px=0, points=9, median_triangulation_angle_deg=9
+    )
+    metadata = PosedCapture(
+        frames=frames, ordered=True, lens=LensModel(model="PINHOLE", params=(), evidence="exact"),
+        registration=registration, source_from_normalised_scale=1, up_evidence="exact", centre_depth=0.85,
+        source_from_normalised=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)),
+    )  # fmt: skip
+    return store.put(folder, "posed-capture", metadata)
+
+
+def truth(store: Store, scene: SyntheticScene) -> str:
+    folder = store.private_folder()
+    views = zip(scene.names[::2], scene.empty_images[::2], scene.cameras[::2], strict=True)
+    frames = tuple(write_view(folder, f"truth_{name}", image, camera) for name, image, camera in views)
+    return store.put(folder, "posed-truth", PosedTruth(frames=frames, registered_share=1, mean_reprojection_error_px=0))
+
+
+def masks(store: Store, scene: SyntheticScene, *, missing: int = 0) -> str:
+    folder = store.private_folder()
+
+    def write(name: str, mask: np.ndarray, under: str) -> MaskView:
+        write_mask(folder / under / f"{name}.png", mask)
+        return MaskView(name=name, mask=f"{under}/{name}.png", share=float(mask.mean()))
+
+    pairs = list(zip(scene.names, scene.object_masks, strict=True))
+    views = [write(name, mask, "masks") for name, mask in pairs[missing:]]
+    hidden = [write(f"truth_{name}", mask, "truth_masks") for name, mask in pairs[::2]]
+    # a truth view that the mask does not reach is skipped
+    write_mask(folder / "truth_masks" / "truth_view_002.png", np.zeros_like(scene.object_masks[0]))
+    metadata = MaskSet(
+        kind="per-view",
+        task="inpaint",
+        origin="imported",
+        method="exact",
+        views=tuple(views),
+        truth_views=tuple(hidden),
+    )
+    return store.put(folder, "mask-set", metadata)
+
+
+def field(store: Store, label: str, *, poison: bool = False) -> str:
+    folder = store.private_folder()
+    model = RadianceField(SPEC, seed=0)
+    if poison:
+        with torch.no_grad():
+            model.base.table.fill_(float("nan"))
+    save_field(folder / "weights.safetensors", model)
+    (folder / "learning_curve.csv").write_text("step,rays,loss,psnr\n10,100,0.5,9.0\n20,200,0.4,\n40,400,0.3,12.5\n")
+    metadata = RadianceFieldArtifact(label=label, spec=SPEC, views=(), steps=40, seed=0, backend="reference")
+    return store.put(folder, "radiance-field", metadata)
+
+
+def evaluated(store: Store, inputs: dict, **parameters) -> tuple[Path, Evaluation]:
+    invocation = Invocation(parameters=TINY | parameters, inputs=inputs, threads=1)
+    record = execute("inpaint3d.stages.evaluation", store, invocation, io.StringIO())
+    artifact = store.open(record.outputs["evaluation"], Evaluation)
+    return artifact.root, artifact.metadata
+
+
+@pytest.fixture(scope="module")
+def scene() -> SyntheticScene:
+    return synthetic_scene()
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Store:
+    return Store(tmp_path_factory.mktemp("store"))
+
+
+@pytest.fixture(scope="module")
+def inputs(store, scene) -> dict:
+    return {"posed-capture": posed(store, scene), "mask-set": masks(store, scene)}
+
+
+@pytest.fixture(scope="module")
+def full(store, scene, inputs) -> tuple[Path, Evaluation]:
+    fields = [field(store, "joint-sds"), field(store, "joint-sds")]
+    return evaluated(store, inputs | {"radiance-fields": fields, "posed-truth": truth(store, scene)})
+
+
+def test_every_protocol_has_every_method(full):
+    methods = {p.name: {m.method for m in p.metrics} for p in full[1].protocols}
+    fields = {"joint-sds", "joint-sds #2"}
+    assert methods == {
+        "hole-box-vs-truth": fields | {"mean-surround"},
+        "hole-only-vs-truth": fields | {"mean-surround"},
+        "held-out-known-pixels": fields | {"mean-colour", "nearest-photo-warped"},
+        "hole-statistics": fields,
+    }
+
+
+def test_a_truth_view_with_an_empty_mask_is_skipped_and_n_is_stated(full):
+    box = next(p for p in full[1].protocols if p.name == "hole-box-vs-truth")
+    assert {m.views for m in box.metrics} == {3}
+    assert {m.name for m in box.metrics} == {"psnr", "ssim", "lpips_vgg", "lpips_alex", "fd_lite0", "kid_lite0"}
+    assert "3 against 3 crops" in box.description
+
+
+def test_equal_fields_have_equal_figures(full):
+    for protocol in full[1].protocols:
+        values = {(m.method, m.name): m.value for m in protocol.metrics}
+        for (method, name), value in values.items():
+            if method == "joint-sds":
+                assert values["joint-sds #2", name] == value
+
+
+def test_a_photo_warped_by_sparse_depth_beats_the_mean_colour(full):
+    held = next(p for p in full[1].protocols if p.name == "held-out-known-pixels")
+    psnr = {m.method: m.value for m in held.metrics if m.name == "psnr"}
+    assert psnr["nearest-photo-warped"] > psnr["mean-colour"]
+
+
+def test_the_table_holds_every_view(full):
+    root, _ = full
+    with (root / "per_view.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    box = [r for r in rows if r["protocol"] == "hole-box-vs-truth" and r["metric"] == "psnr"]
+    assert {r["view"] for r in box} == {"truth_view_000", "truth_view_004", "truth_view_006"}
+    assert all(np.isfinite(float(r["value"])) for r in rows)
+
+
+def test_pictures_and_report_are_there(full):
+    root, evaluation = full
+    assert "pictures/before_mask_after_depth.png" in evaluation.pictures
+    assert {p.name for p in (root / "pictures").iterdir()} == {Path(p).name for p in evaluation.pictures}
+    text = (root / "report.html").read_text()
+    assert "<!-- inpaint3d:run -->\n" in text
+    assert "-3.50 dB" in text  # the curve's figure at a quarter of the steps
+
+
+def test_without_truth_the_report_says_so(store, inputs):
+    root, evaluation = evaluated(store, inputs | {"radiance-fields": [field(store, "a")]}, perceptual=False)
+    assert [p.name for p in evaluation.protocols] == ["held-out-known-pixels", "hole-statistics"]
+    assert "nothing here says whether the filling is true" in (root / "report.html").read_text()
+
+
+def test_a_field_that_renders_nan_is_counted_and_never_averaged(store, inputs):
+    fields = [field(store, "good"), field(store, "bad", poison=True)]
+    _, evaluation = evaluated(store, inputs | {"radiance-fields": fields}, perceptual=False)
+    assert evaluation.protocols == ()
+    assert set(evaluation.non_finite) == {"bad/view_002"}
+    assert evaluation.non_finite["bad/view_002"] >= 24 * 18
+
+
+def test_a_photo_without_a_mask_is_bad_input(store, scene, inputs):
+    broken = inputs | {"mask-set": masks(store, scene, missing=1), "radiance-fields": [field(store, "a")]}
+    with pytest.raises(BadInputError, match=r"view_000 \(1 in all\)"):
+        evaluated(store, broken)
+
+
+def test_no_field_is_bad_input(store, inputs):
+    with pytest.raises(BadInputError, match="at least one"):
+        evaluated(store, inputs)
+
+
+def test_the_stub_is_a_valid_evaluation(store, inputs):
+    invocation = Invocation(inputs=inputs | {"radiance-fields": [field(store, "a")]}, threads=1, stub=True)
+    events = io.StringIO()
+    record = execute("inpaint3d.stages.evaluation", store, invocation, events)
+    stub = store.open(record.outputs["evaluation"], Evaluation)
+    assert stub.metadata.protocols[0].metrics
+    assert [json.loads(line)["event"] for line in events.getvalue().splitlines()] == ["progress"]
