@@ -17,3 +17,18 @@ def alpha_weights(density: Float[Tensor, "*rays n"], tdist: Float[Tensor, "*rays
     before = F.pad(torch.cumsum(optical_depth[..., :-1], -1), (1, 0))
     # expm1 keeps thin fog: in float32, 1 - exp(-1e-8) is 0.
     return -torch.expm1(-optical_depth) * torch.exp(-before)
+
+
+@torch.no_grad()
+def median_distance(
+    weights: Float[Tensor, "r s"], tdist: Float[Tensor, "r s+1"], far: float, smallest: float
+) -> Float[Tensor, " r"]:
+    """Distance at which half of a ray's opacity is reached, linear within the interval; `far` on empty rays."""
+    reached = torch.cumsum(weights, -1)
+    half = reached[:, -1:] / 2
+    index = torch.searchsorted(reached, half).clamp_(max=weights.shape[1] - 1)
+    within = weights.gather(1, index)
+    before = reached.gather(1, index) - within
+    share = ((half - before) / torch.where(within > 0, within, 1)).clamp_(0, 1)
+    low, high = tdist.gather(1, index), tdist.gather(1, index + 1)
+    return torch.where(reached[:, -1] > smallest, (low + share * (high - low))[:, 0], far)

@@ -4,29 +4,60 @@
 """
 
 import importlib
-from types import ModuleType
-from typing import Literal
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, Literal, Protocol, cast
 
 import torch
+from torch import Tensor
+
+from inpaint3d.radiance.backends import reference
+from inpaint3d.radiance.backends.reference import Level
 
 Name = Literal["reference", "native"]
-OPERATIONS = ("levels_of", "hash_encode", "mlp", "composite", "resample", "adam_step")
 
 
-def select(device: torch.device | str, backend: Name | None = None) -> ModuleType:
+class Backend(Protocol):
+    """What both modules offer; shapes and meaning are documented in `reference`."""
+
+    __name__: str
+
+    @staticmethod
+    def hash_encode(points: Tensor, table: Tensor, levels: Sequence[Level]) -> Tensor: ...
+    @staticmethod
+    def mlp(x: Tensor, weights: Sequence[Tensor], biases: Sequence[Tensor] | None = None) -> Tensor: ...
+    @staticmethod
+    def composite(density: Tensor, rgb: Tensor, tdist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
+    @staticmethod
+    def resample(sdist: Tensor, weights: Tensor, count: int, jitter: Tensor | None = None) -> Tensor: ...
+    @staticmethod
+    def adam_step(
+        param: Tensor, grad: Tensor, m: Tensor, v: Tensor, step: int, lr: float, beta1: float, beta2: float, eps: float
+    ) -> None: ...
+
+
+def select(device: torch.device | str, backend: Name | None = None) -> Backend:
     """The module that computes on `device`: `backend` where it is named, else native on a CPU that has it.
 
-    Raises ImportError where `backend="native"` is asked for and the kernels are not installed, ValueError for a name
-    that is neither.
+    Raises ImportError where "native" is asked for and the kernels are not installed, ValueError for any other name.
     """
     if backend not in (None, "reference", "native"):
         raise ValueError(f"backend {backend!r} is unknown; use 'reference' or 'native'")
-    reference = importlib.import_module("inpaint3d.radiance.backends.reference")
-    if backend == "reference" or (backend is None and torch.device(device).type != "cpu"):
-        return reference
-    try:
-        return importlib.import_module("inpaint3d.radiance.backends.native")
-    except ImportError:
-        if backend == "native":
-            raise
-        return reference
+    return _load(backend, torch.device(device).type)
+
+
+@cache
+def _load(backend: Name | None, device_type: str) -> Backend:
+    module: Any = reference
+    if backend == "native" or (backend is None and device_type == "cpu"):
+        try:
+            module = importlib.import_module("inpaint3d.radiance.backends.native")
+        except ImportError:
+            if backend == "native":
+                raise
+    return cast(Backend, module)
+
+
+def name_of(module: Backend) -> Name:
+    """The name that `select` knows a module by."""
+    return "reference" if module is reference else "native"

@@ -1,0 +1,47 @@
+"""The whole state of a training run in one file, so that a killed run goes on as if nothing had happened."""
+
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.optim import Adam
+
+
+def save_checkpoint(
+    path: Path,
+    field: RadianceField,
+    optimizer: Adam,
+    generator: torch.Generator,
+    extra: dict[str, Tensor] | None = None,
+) -> None:
+    """Write weights, Adam's moments and step, the generator's state and `extra` tensors; whole or not at all."""
+    state = {f"extra.{name}": tensor for name, tensor in (extra or {}).items()}
+    state["generator"] = generator.get_state()
+    state["steps"] = torch.tensor(optimizer.steps)
+    for name, parameter in field.named_parameters():
+        m, v = optimizer.moments(parameter)
+        state |= {f"field.{name}": parameter.detach(), f"m.{name}": m, f"v.{name}": v}
+    staged = path.with_suffix(".new")
+    save_file({name: tensor.cpu().contiguous() for name, tensor in state.items()}, staged)
+    staged.replace(path)
+
+
+def load_checkpoint(
+    path: Path, field: RadianceField, optimizer: Adam, generator: torch.Generator
+) -> dict[str, Tensor] | None:
+    """Put everything back and return the `extra` tensors; None where there is no checkpoint."""
+    if not path.exists():
+        return None
+    state = load_file(path)
+    generator.set_state(state["generator"])
+    optimizer.steps = int(state["steps"])
+    with torch.no_grad():
+        for name, parameter in field.named_parameters():
+            m, v = optimizer.moments(parameter)
+            parameter.copy_(state[f"field.{name}"])
+            m.copy_(state[f"m.{name}"])
+            v.copy_(state[f"v.{name}"])
+    return {name.removeprefix("extra."): t for name, t in state.items() if name.startswith("extra.")}

@@ -1,0 +1,164 @@
+"""The radiance field: hash grids and small networks (paper, appendix "Model Details"; conformance N1 to N6)."""
+
+import itertools
+import math
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor, nn
+
+from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.radiance import backends, directions, safe
+from inpaint3d.radiance.contraction import unit_cube
+from inpaint3d.radiance.spacing import Spacing
+
+# Raw outputs start near 0. Density e^-1 per scene unit lets light through the whole scene at first.
+DENSITY_SHIFT = -1.0
+# The map of colours reaches a little past [0, 1], so that black and white are not at infinity (Mip-NeRF).
+COLOUR_PADDING = 0.001
+
+
+class Samples(NamedTuple):
+    """What a field says of points in space."""
+
+    density: Float[Tensor, " n"]  # per scene unit
+    rgb: Float[Tensor, "n 3"]
+    diffuse: Float[Tensor, "n 3"]
+
+
+def bounded(logits: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """Colours in [-0.001, 1.001] (N4: a sigmoid-like map of the paper's sum)."""
+    return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
+
+
+class RadianceField(nn.Module):
+    """A proposal network, shared by its rounds, and a field with diffuse and view-dependent colour.
+
+    `backend` names the implementation of the heavy operations (default: the fastest that is installed). Raises
+    ConfigurationError for an architecture that cannot be built.
+    """
+
+    def __init__(self, spec: FieldSpec, seed: int, backend: backends.Name | None = None) -> None:
+        super().__init__()
+        _check(spec)
+        self.spec = spec
+        self._backend_name: backends.Name | None = backend
+        self.spacing = Spacing(spec.near, spec.far, spec.contraction)
+        generator = torch.Generator().manual_seed(seed)
+        self.proposal = HashNetwork(spec.proposal_grid, [spec.density_width, 1], generator)
+        heads = 1 + 3 + (spec.bottleneck if spec.view_layers else 0)
+        self.base = HashNetwork(spec.grid, [spec.density_width, heads], generator)
+        self.specular = nn.ParameterList()
+        if spec.view_layers:
+            widths = [spec.bottleneck + directions.COMPONENTS, *[spec.view_width] * spec.view_layers, 3]
+            self.specular.extend(_network(widths, generator))
+        if spec.glo:
+            self.codes = nn.Parameter(torch.zeros(max(spec.glo_views, 1), spec.glo))
+            self.code_map = nn.Parameter(torch.randn(spec.glo, 6, generator=generator) / math.sqrt(spec.glo))
+
+    @property
+    def device(self) -> torch.device:
+        return self.base.table.device
+
+    @property
+    def backend(self) -> backends.Backend:
+        return backends.select(self.device, self._backend_name)
+
+    def _cube(self, points: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor | None]:
+        """Points in the grids' cube, and where they are inside the scene (None: everywhere)."""
+        cube = unit_cube(points, contraction=self.spec.contraction, bound=self.spec.bound)
+        if self.spec.contraction:
+            return cube, None
+        return cube.clamp(0, 1), ((cube >= 0) & (cube <= 1)).all(-1)
+
+    def proposal_density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Density that the proposal network guesses at scene points, per scene unit."""
+        cube, inside = self._cube(points)
+        return _density(self.proposal(cube, self.backend)[:, 0], inside)
+
+    def density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Density at scene points, per scene unit."""
+        cube, inside = self._cube(points)
+        return _density(self.base(cube, self.backend)[:, 0], inside)
+
+    def appearance(
+        self, view: Int64[Tensor, " n"] | None, glo: Literal["view", "mean"]
+    ) -> Float[Tensor, "n 6"] | Float[Tensor, "1 6"] | None:
+        """Log gain and offset of colour logits for each ray's view (N6); one row for the mean code; None without."""
+        if not self.spec.glo:
+            return None
+        codes = self.codes.mean(0, keepdim=True) if glo == "mean" or view is None else self.codes[view]
+        return codes @ self.code_map
+
+    def query(
+        self,
+        points: Float[Tensor, "n 3"],
+        towards: Float[Tensor, "n 3"],
+        appearance: Float[Tensor, "m 6"] | None = None,
+        specular_scale: float = 1.0,
+    ) -> Samples:
+        """Density and colours at scene points seen along unit directions.
+
+        The colour is bounded(diffuse + specular_scale * specular), after the view's gain and offset (`appearance`: a
+        row for each point, or one for all).
+        """
+        cube, inside = self._cube(points)
+        heads = self.base(cube, self.backend)
+        density = _density(heads[:, 0], inside)
+        diffuse, gain, offset = heads[:, 1:4], None, None
+        if appearance is not None:
+            gain, offset = torch.exp(appearance[:, :3]), appearance[:, 3:]
+        shown = _exposed(diffuse, gain, offset)
+        if not self.spec.view_layers:
+            return Samples(density, bounded(shown), bounded(shown))
+        inputs = torch.cat([heads[:, 4:], directions.spherical_harmonics(towards)], -1)
+        specular = self.backend.mlp(inputs, list(self.specular))
+        total = _exposed(diffuse + specular_scale * specular, gain, offset)
+        return Samples(density, bounded(total), bounded(shown))
+
+
+class HashNetwork(nn.Module):
+    """A hash grid and a network without biases on its features."""
+
+    def __init__(self, grid: GridSpec, widths: list[int], generator: torch.Generator) -> None:
+        super().__init__()
+        self.levels = backends.reference.levels_of(grid.levels, grid.coarsest, grid.finest, grid.log2_table)
+        entries = self.levels[-1].offset + self.levels[-1].size
+        # Instant-NGP's start: small enough that colours and densities begin alike everywhere.
+        self.table = nn.Parameter((torch.rand(entries, grid.channels, generator=generator) * 2 - 1) * 1e-4)
+        self.weights = nn.ParameterList(_network([grid.levels * grid.channels, *widths], generator))
+
+    def forward(self, cube: Float[Tensor, "n 3"], backend: backends.Backend) -> Float[Tensor, "n _"]:
+        return backend.mlp(backend.hash_encode(cube, self.table, self.levels), list(self.weights))
+
+
+def _network(widths: list[int], generator: torch.Generator) -> list[nn.Parameter]:
+    """He's uniform start for ReLU layers, [out, in] each."""
+    return [
+        nn.Parameter((torch.rand(out, into, generator=generator) * 2 - 1) * math.sqrt(6 / into))
+        for into, out in itertools.pairwise(widths)
+    ]
+
+
+def _density(raw: Float[Tensor, " n"], inside: Tensor | None) -> Float[Tensor, " n"]:
+    density = safe.exp(raw + DENSITY_SHIFT)
+    return density if inside is None else density * inside
+
+
+def _exposed(logits: Tensor, gain: Tensor | None, offset: Tensor | None) -> Tensor:
+    return logits if gain is None or offset is None else logits * gain + offset
+
+
+def _check(spec: FieldSpec) -> None:
+    if spec.sampler != "proposal":
+        raise ConfigurationError(f"sampler {spec.sampler!r} is not available; use 'proposal'")
+    if min((*spec.proposal_samples, spec.samples)) < 2:
+        raise ConfigurationError(
+            f"samples per round are {(*spec.proposal_samples, spec.samples)}; each must be at least 2"
+        )
+    if spec.near >= spec.far:
+        raise ConfigurationError(f"near {spec.near} is not below far {spec.far}")
+    if spec.view_layers and not spec.bottleneck:
+        raise ConfigurationError("view-dependent colour needs a bottleneck of at least 1; set view_layers to 0 without")

@@ -1,0 +1,66 @@
+"""Adam over a field's tables and networks, and the paper's schedule of its rate (conformance N7)."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inpaint3d.radiance.fields import RadianceField
+
+BETAS = (0.9, 0.99)
+EPS = 1e-15
+
+
+def learning_rate(
+    step: int, *, initial: float = 1e-2, final: float = 1e-3, steps: int = 2200, warmup: int = 100
+) -> float:
+    """Exponential from initial to final over `steps`, then constant; times a linear warm-up. Steps count from 0."""
+    share = min(step / max(steps, 1), 1.0)
+    return initial * (final / initial) ** share * min((step + 1) / max(warmup, 1), 1.0)
+
+
+class Adam(torch.optim.Optimizer):
+    """Adam with the field's backend. Each group has `lr` and its `lr_scale`; the state is m, v, and one step count."""
+
+    def __init__(self, field: RadianceField, groups: list[dict[str, Any]], betas: tuple[float, float], eps: float):
+        self._field = field
+        self.steps = 0
+        super().__init__(groups, {"lr": 1e-2, "lr_scale": 1.0, "betas": betas, "eps": eps})
+
+    def set_rate(self, rate: float) -> None:
+        """Use `rate` from the next step on, times each group's scale."""
+        for group in self.param_groups:
+            group["lr"] = rate * group["lr_scale"]
+
+    def moments(self, param: Tensor) -> tuple[Tensor, Tensor]:
+        """Adam's m and v of a parameter; zeros before its first step."""
+        state = self.state[param]
+        if not state:
+            state["m"], state["v"] = torch.zeros_like(param), torch.zeros_like(param)
+        return state["m"], state["v"]
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], float] | None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Move all parameters that have a gradient."""
+        if closure is not None:
+            raise ValueError("this Adam takes no closure; compute the loss before the step")
+        self.steps += 1
+        for group in self.param_groups:
+            for param in group["params"]:
+                if param.grad is not None:
+                    m, v = self.moments(param)
+                    beta1, beta2 = group["betas"]
+                    self._field.backend.adam_step(
+                        param, param.grad, m, v, self.steps, group["lr"], beta1, beta2, group["eps"]
+                    )
+
+
+def make_optimizer(
+    field: RadianceField, *, network_scale: float = 1.0, betas: tuple[float, float] = BETAS, eps: float = EPS
+) -> Adam:
+    """Adam whose networks (all but the tables) learn at `network_scale` of the rate; `set_rate` before each step."""
+    tables = [field.proposal.table, field.base.table]
+    chosen = {id(t) for t in tables}
+    networks = [p for p in field.parameters() if id(p) not in chosen]
+    return Adam(field, [{"params": tables}, {"params": networks, "lr_scale": network_scale}], betas, eps)

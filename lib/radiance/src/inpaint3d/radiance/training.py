@@ -1,0 +1,142 @@
+"""Fitting a field to photographs: what nerf-pretraining and joint-optimization share of a training step."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from numpy.typing import NDArray
+from torch import Tensor
+
+from inpaint3d.contracts.errors import Inpaint3dError
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.losses import charbonnier, distortion_loss, hash_decay, interlevel_loss
+from inpaint3d.radiance.optim import Adam
+from inpaint3d.radiance.rays import CameraStack, Rays
+from inpaint3d.radiance.rendering import Rendering
+from inpaint3d.scene.cameras import Camera
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Known pixels of the training views, in one row each; `view` indexes `cameras` and the appearance codes."""
+
+    cameras: CameraStack
+    view: Int64[Tensor, " p"]
+    xy: Float[Tensor, "p 2"]
+    rgb: Float[Tensor, "p 3"]
+
+    @classmethod
+    def of(
+        cls,
+        cameras: Sequence[Camera],
+        images: Sequence[NDArray[np.float32]],
+        known: Sequence[NDArray[np.bool_] | None],
+        device: torch.device | str = "cpu",
+    ) -> "Pixels":
+        """All pixels of `images` [h, w, 3] where `known` [h, w] is True (None: everywhere)."""
+        view, xy, rgb = [], [], []
+        for index, (image, keep) in enumerate(zip(images, known, strict=True)):
+            y, x = np.nonzero(np.ones(image.shape[:2], bool) if keep is None else keep)
+            view.append(np.full(len(x), index))
+            xy.append(np.stack([x + 0.5, y + 0.5], -1))
+            rgb.append(image[y, x])
+        return cls(
+            CameraStack.of(cameras, device),
+            torch.from_numpy(np.concatenate(view)).to(device, torch.int64),
+            torch.from_numpy(np.concatenate(xy)).to(device, torch.float32),
+            torch.from_numpy(np.concatenate(rgb)).to(device, torch.float32),
+        )
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+    def draw(self, count: int, generator: torch.Generator) -> tuple[Rays, Float[Tensor, "{count} 3"]]:
+        """Rays and colours of `count` pixels, drawn with replacement."""
+        chosen = torch.randint(len(self), (count,), generator=generator, device=generator.device).to(self.view.device)
+        return self.cameras.rays(self.view[chosen], self.xy[chosen]), self.rgb[chosen]
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the terms (paper, appendix; conformance L3, N9)."""
+
+    reconstruction: float = 1.0
+    interlevel: float = 1.0
+    distortion: float = 0.005
+    hash_decay: float = 0.1
+
+
+def regularisers(field: RadianceField, rendering: Rendering, weights: LossWeights) -> dict[str, Tensor]:
+    """The weighted terms that need no photograph; a term of weight 0 is left out, not computed."""
+    terms: dict[str, Tensor] = {}
+    if weights.interlevel and rendering.proposals:
+        terms["interlevel"] = weights.interlevel * interlevel_loss(rendering)
+    if weights.distortion:
+        terms["distortion"] = weights.distortion * distortion_loss(rendering)
+    if weights.hash_decay:
+        terms["hash_decay"] = weights.hash_decay * hash_decay(field)
+    return terms
+
+
+def reconstruction(rendering: Rendering, target: Float[Tensor, "*n 3"], weight: float = 1.0) -> Float[Tensor, ""]:
+    """Charbonnier loss of colours, mean over rays and channels (L1, L8)."""
+    return weight * charbonnier(rendering.rgb - target).mean()
+
+
+def descend(
+    field: RadianceField, optimizer: Adam, terms: Mapping[str, Tensor], rate: float, non_finite: dict[str, int]
+) -> dict[str, float]:
+    """One step down the sum of the terms at learning rate `rate`; returns each term's value.
+
+    Non-finite terms and gradients are counted into `non_finite` by place and stop the run with an error that names
+    them: parameters are never touched by them.
+    """
+    optimizer.zero_grad(set_to_none=True)
+    values = {name: float(term.detach()) for name, term in terms.items()}
+    for name, value in values.items():
+        if not math.isfinite(value):
+            non_finite[f"loss.{name}"] = non_finite.get(f"loss.{name}", 0) + 1
+    if not non_finite:
+        torch.stack(list(terms.values())).sum().backward()
+        for name, parameter in field.named_parameters():
+            if parameter.grad is not None:
+                _count_non_finite(f"gradient.{name}", parameter.grad, non_finite)
+    if non_finite:
+        places = ", ".join(f"{place} ({count})" for place, count in sorted(non_finite.items()))
+        raise Inpaint3dError(
+            f"non-finite values at step {optimizer.steps}: {places}; loss terms were {values}. "
+            "The weights of the last checkpoint are sound; lower the learning rate or report this run"
+        )
+    optimizer.set_rate(rate)
+    optimizer.step()
+    return values
+
+
+def _count_non_finite(place: str, tensor: Tensor, non_finite: dict[str, int]) -> None:
+    # A sum is finite only where all are (or overflows, which the count then clears): one pass, no temporary.
+    if not math.isfinite(float(tensor.sum())):
+        count = int((~torch.isfinite(tensor)).sum())
+        if count:
+            non_finite[place] = non_finite.get(place, 0) + count
+
+
+def rays_at(step: int, *, first: int, last: int, ramp: int) -> int:
+    """Rays of a step: geometric from first to last over `ramp` steps. Small batches learn faster while all is wrong."""
+    share = min(step / ramp, 1.0) if ramp else 1.0
+    return round(first * (last / first) ** share)
+
+
+def proposal_anneal(step: int, steps: int, slope: float = 10.0) -> float:
+    """Power on the proposals' weights, 0 to 1 over `steps` (Mip-NeRF 360, arXiv:2111.12077, eq. 18)."""
+    share = min(step / max(steps, 1), 1.0)
+    return slope * share / ((slope - 1) * share + 1)
+
+
+def psnr(image: NDArray[np.floating], truth: NDArray[np.floating], known: NDArray[np.bool_] | None = None) -> float:
+    """Peak signal-to-noise ratio in dB of values in [0, 1], over `known` pixels; at most 100, NaN without any."""
+    squared = np.square(image.astype(np.float64) - truth)
+    chosen = squared if known is None else squared[known]
+    return float("nan") if chosen.size == 0 else -10 * math.log10(max(float(chosen.mean()), 1e-10))
