@@ -65,7 +65,7 @@ EXIT_CODES: dict[int, str] = {
 }  # fmt: skip
 """Exit code -> what it means."""
 
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def from_os_error(error: OSError) -> Inpaint3dError:

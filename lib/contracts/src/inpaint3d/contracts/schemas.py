@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from inpaint3d.contracts.artifacts import SCHEMAS
 from inpaint3d.contracts.manifest import Manifest
 from inpaint3d.contracts.pipeline import PipelineSpec
+from inpaint3d.contracts.report import RunReport
 from inpaint3d.contracts.stage import StageSpec, load_stage
 
 ID_BASE = "urn:inpaint3d:schema:"
@@ -35,6 +36,7 @@ def all_schemas(repository: Path) -> dict[Path, dict[str, Any]]:
         Path("pipeline/1.json"): published(PipelineSpec, "pipeline", "1"),
         Path("stage/1.json"): published(StageSpec, "stage", "1"),
         Path("artifact/1.json"): published(Manifest, "artifact", "1"),
+        Path("report/1.json"): published(RunReport, "report", "1"),
     }
     for name, (version, model) in SCHEMAS.items():
         found[Path(f"artifacts/{name}/{version}.json")] = published(model, f"artifacts:{name}", version)

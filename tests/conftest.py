@@ -1,0 +1,57 @@
+"""The pipeline as a user runs it: `inpaint3d` as a process, on a store of the test's own."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+class Cli:
+    """`inpaint3d` in a folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.store, self.runs = folder / "store", folder / "runs"
+
+    def command(self, *arguments: str) -> list[str]:
+        return [str(Path(sys.executable).parent / "inpaint3d"), *arguments]
+
+    def environment(self) -> dict[str, str]:
+        return {**os.environ, "INPAINT3D_STORE": str(self.store), "INPAINT3D_RUNS": str(self.runs)}
+
+    def __call__(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            self.command(*arguments),
+            capture_output=True, text=True, check=False, env=self.environment(), cwd=REPOSITORY, **options,
+        )  # fmt: skip
+
+    def start(self, *arguments: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            self.command(*arguments),
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=self.environment(), cwd=REPOSITORY,
+        )  # fmt: skip
+
+    def statuses(self, *arguments: str) -> dict[str, str]:
+        """Stage -> state of the last run of `tiny`."""
+        report = json.loads(self("show", "tiny", "--json").stdout)
+        return {s["node"]: s["status"] for s in report["stages"]}
+
+
+@pytest.fixture
+def cli(tmp_path: Path) -> Cli:
+    return Cli(tmp_path)
+
+
+@pytest.fixture
+def capture(tmp_path: Path) -> Path:
+    """A folder that stubs do not look into."""
+    folder = tmp_path / "tiny"
+    folder.mkdir()
+    (folder / "note.txt").write_text("stubs do not look")
+    return folder

@@ -1,0 +1,43 @@
+"""Write a golden instance of each schema version that has none yet: `python -m tests.contracts.make_golden`.
+
+The instances are what the stubs write. One that is there is never touched: it stands for the data that exist out there.
+"""
+
+import tempfile
+from pathlib import Path
+
+from tests.conftest import REPOSITORY
+
+from inpaint3d.contracts.artifacts import ImageCorpus
+from inpaint3d.contracts.manifest import MANIFEST
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.suite import Upstream, invoke
+
+
+def main() -> None:
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        for last in ("evaluation", "usd-export"):
+            upstream = Upstream(pipeline, last, store)
+            result = invoke(pipeline.stages[last], store, upstream.inputs_of(last), stub=True)
+            produced = [*upstream.produced.values(), *result.outputs.values(), _corpus(store)]
+            for digest in produced:
+                name, _, version = store.manifest(digest).schema_id.partition("@")
+                target = REPOSITORY / "schemas" / "golden" / name / f"{version}.json"
+                if not target.exists():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    target.write_bytes((store.object_path(digest) / MANIFEST).read_bytes())
+
+
+def _corpus(store: Store) -> str:
+    folder = store.private_folder()
+    (folder / "images").mkdir()
+    (folder / "images" / "a.jpg").write_bytes(b"not looked at")
+    picture = ImageCorpus.Picture(name="a", path="images/a.jpg", scene="a", split="train")
+    return store.put(folder, "image-corpus", ImageCorpus(pictures=(picture,)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""A disk without room: the storage exit code, a message that names the file and the repair, nothing committed."""
+
+import json
+import resource
+import subprocess
+
+from tests.conftest import REPOSITORY
+
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.suite import command, external_artifacts
+
+
+def test_no_room_for_an_artifact(tmp_path):
+    """A limit on the size of files is the full disk that a test can have without being root."""
+    spec = Pipeline(REPOSITORY / "pipeline.yaml").stages["capture-ingest"]
+    store = Store(tmp_path / "store")
+    source = external_artifacts(store)["external.capture"]
+    line = command(spec, store, Invocation(inputs={"source": source}, stub=True))
+    limit = 1024
+    result = subprocess.run(
+        line, capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )  # fmt: skip
+    event = json.loads(result.stdout.splitlines()[-1])
+    assert result.returncode == 5, result.stdout + result.stderr
+    assert "no space left" in event["message"]
+    assert list(store.records()) == []

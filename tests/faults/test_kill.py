@@ -1,0 +1,32 @@
+"""Killed at any moment, the next run goes on without a flag, and what is visible is whole."""
+
+import random
+import time
+
+import pytest
+
+from inpaint3d.contracts.store import Store
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_kill_9_then_run_again(cli, capture, seed):
+    arguments = ("run", str(capture), "--stub", "--until", "nerf-pretraining")
+    process = cli.start(*arguments)
+    time.sleep(random.Random(seed).uniform(0.3, 3.0))
+    process.kill()
+    process.wait()
+    result = cli(*arguments)
+    assert result.returncode == 0, result.stderr
+    store = Store(cli.store)
+    for record in store.records():
+        assert all(store.damage(d) is None for d in record.outputs.values())
+    assert cli("verify").returncode == 0
+
+
+def test_sigterm_stops_the_stages_and_the_next_run_goes_on(cli, capture):
+    arguments = ("run", str(capture), "--stub", "--until", "nerf-pretraining")
+    process = cli.start(*arguments)
+    time.sleep(1.0)
+    process.terminate()
+    assert process.wait(timeout=60) in (0, 143)
+    assert cli(*arguments).returncode == 0

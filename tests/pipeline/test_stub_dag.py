@@ -1,0 +1,144 @@
+"""The whole DAG with stubs: scheduling, keys, reasons and results, in seconds and without numeric work."""
+
+import json
+
+import jsonschema
+import pytest
+from tests.conftest import REPOSITORY
+
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.orchestrator.parameters import resolved
+
+PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
+MASK = "mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}\n"
+
+
+@pytest.fixture
+def ran(cli, capture, tmp_path):
+    """One whole run of stubs."""
+    (tmp_path / "mask.yaml").write_text(MASK)
+    arguments = ("run", str(capture), "--stub", "--mask", str(tmp_path / "mask.yaml"))
+    result = cli(*arguments)
+    assert result.returncode == 0, result.stderr + result.stdout
+    return cli, arguments
+
+
+def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ran):
+    cli, arguments = ran
+    folder = cli.runs / "tiny"
+    assert {"report.html", "scene.usdz", "metrics.json", "pictures"} <= {p.name for p in folder.iterdir()}
+    assert "inpaint3d:run" not in (folder / "report.html").read_text()
+    assert set(cli.statuses().values()) == {"done"}
+    schema = json.loads((REPOSITORY / "schemas" / "report" / "1.json").read_text())
+    jsonschema.validate(json.loads((folder / "metrics.json").read_text()), schema)
+
+    again = cli(*arguments)
+    assert "nothing to be done" in again.stderr
+    assert set(cli.statuses().values()) == {"cached"}
+
+    changed = cli(*arguments, "--set", "joint-optimization.guidance=2")
+    assert changed.returncode == 0, changed.stderr
+    states = cli.statuses()
+    assert states["joint-optimization"] == "done"
+    behind = {"joint-optimization", *PIPELINE.downstream("joint-optimization")}
+    # Stubs ignore guidance, so what they write is the same and the cut-off is early: nothing behind runs again.
+    assert all(states[n] == "cached" for n in PIPELINE.order if n not in behind)
+    assert states["evaluation"] == "cached"
+    why = cli("why", "tiny", "joint-optimization").stdout
+    assert "parameters.guidance" in why
+    assert "-> 2" in why
+
+
+def test_plan_gives_reasons_without_running(ran):
+    cli, arguments = ran
+    rows = json.loads(cli("plan", *arguments[1:], "--set", "joint-optimization.guidance=2", "--json").stdout)
+    planned = {r["node"]: r for r in rows}
+    assert planned["joint-optimization"]["status"] == "pending"
+    assert [c["component"] for c in planned["joint-optimization"]["changes"]] == ["parameters.guidance"]
+    assert planned["nerf-pretraining"]["status"] == "cached"
+    assert planned["evaluation"]["reason"] == "after joint-optimization"
+    assert len(json.loads(cli("runs", "--json").stdout)) == 1
+
+
+def test_selection(ran):
+    cli, arguments = ran
+    cli(*arguments, "--only", "scene-analysis", "--force")
+    assert [n for n, s in cli.statuses().items() if s == "done"] == ["scene-analysis"]
+    cli(*arguments, "--from", "evaluation", "--force")
+    assert {n for n, s in cli.statuses().items() if s == "done"} == {"evaluation"}
+    assert cli(*arguments, "--only", "nothing").returncode == 2
+
+
+def test_until_stops_there(cli, capture):
+    result = cli("run", str(capture), "--stub", "--until", "scene-analysis")
+    assert result.returncode == 0, result.stderr
+    states = cli.statuses()
+    assert {n for n, s in states.items() if s == "done"} == {"capture-ingest", "pose-estimation", "scene-analysis"}
+    assert states["nerf-pretraining"] == "skipped"
+
+
+def test_a_stage_alone_whose_inputs_are_not_there_says_so(cli, capture):
+    result = cli("run", str(capture), "--stub", "--only", "evaluation")
+    assert result.returncode == 2
+    assert "evaluation (after " in result.stderr
+
+
+def test_a_damaged_artifact_is_found_and_computed_again(ran):
+    cli, arguments = ran
+    report = json.loads((cli.runs / "tiny" / "metrics.json").read_text())
+    stage = next(s for s in report["stages"] if s["node"] == "scene-analysis")
+    digest = stage["outputs"]["effect-plan"].removeprefix("sha256:")
+    manifest = cli.store / "objects" / digest / "artifact.json"
+    manifest.chmod(0o644)
+    manifest.write_text(manifest.read_text().replace("off", "on ", 1))
+    assert cli("verify").returncode == 3
+    assert cli(*arguments).returncode == 0
+    assert {n for n, s in cli.statuses().items() if s == "done"} == {"scene-analysis"}
+    assert cli("verify").returncode == 0
+
+
+def test_lineage_leads_back_to_the_photos_and_gc_keeps_what_is_needed(ran):
+    cli, arguments = ran
+    lines = cli("lineage", "tiny").stdout
+    assert lines.startswith("usd-export@")
+    assert "source: capture" in lines
+    assert cli("gc").returncode == 0
+    assert cli("lineage", "tiny").stdout == lines
+    assert "nothing to be done" in cli(*arguments).stderr
+
+
+def test_scenes_fan_out(cli, tmp_path):
+    for scene in ("a", "b"):
+        (tmp_path / "all" / scene).mkdir(parents=True)
+        (tmp_path / "all" / scene / "note.txt").write_text(scene)
+    scenes = ("--scene", "a", "--scene", "b")
+    assert cli("run", str(tmp_path / "all"), "--stub", "--until", "scene-analysis", *scenes).returncode == 0
+    assert {r["name"] for r in json.loads(cli("runs", "--json").stdout)} == {"a", "b"}
+    missing = cli("run", str(tmp_path / "all"), "--stub", "--scene", "c")
+    assert missing.returncode == 2
+    assert "there is no" in missing.stderr
+
+
+@pytest.mark.parametrize("preset", PIPELINE.spec.spec.presets)
+@pytest.mark.parametrize("node", PIPELINE.order)
+def test_every_preset_has_valid_parameters(preset, node):
+    chosen = PIPELINE.parameters(node, preset)
+    assert chosen.items() <= resolved(PIPELINE, node, chosen).items()
+
+
+def test_wrong_parameters_are_named(cli, capture):
+    for assignment, says in (
+        ("joint-optimization.gidance=2", "no parameter gidance"),
+        ("joint-optimisation.guidance=2", "no stage joint-optimisation"),
+        ("joint-optimization.guidance=lots", "'lots' is not of type 'number'"),
+        ("guidance", "write STAGE.PARAM=VALUE"),
+    ):
+        result = cli("run", str(capture), "--stub", "--set", assignment)
+        assert result.returncode == 2
+        assert says in result.stderr, result.stderr
+
+
+def test_missing_capture_is_bad_input(cli, tmp_path):
+    result = cli("run", str(tmp_path / "nowhere"))
+    assert result.returncode == 3
+    assert "nowhere does not exist" in result.stderr
