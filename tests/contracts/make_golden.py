@@ -6,13 +6,12 @@ The instances are what the stubs write. One that is there is never touched: it s
 import tempfile
 from pathlib import Path
 
-from tests.conftest import REPOSITORY
-
 from inpaint3d.contracts.artifacts import ImageCorpus
 from inpaint3d.contracts.manifest import MANIFEST
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.store import Store
 from inpaint3d.contracts.suite import Upstream, invoke
+from tests.conftest import REPOSITORY
 
 
 def main() -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import jsonschema
 import pytest
-from tests.conftest import REPOSITORY
 
 from inpaint3d.contracts.artifacts import SCHEMAS
 from inpaint3d.contracts.manifest import Manifest, read_metadata
+from tests.conftest import REPOSITORY
 
 SCHEMA_FOLDER = REPOSITORY / "schemas" / "artifacts"
 GOLDEN = sorted((REPOSITORY / "schemas" / "golden").glob("*/*.json"))

@@ -4,12 +4,11 @@ import json
 import resource
 import subprocess
 
-from tests.conftest import REPOSITORY
-
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.shim import Invocation
 from inpaint3d.contracts.store import Store
 from inpaint3d.contracts.suite import command, external_artifacts
+from tests.conftest import REPOSITORY
 
 
 def test_no_room_for_an_artifact(tmp_path):

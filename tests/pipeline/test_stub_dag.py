@@ -4,10 +4,10 @@ import json
 
 import jsonschema
 import pytest
-from tests.conftest import REPOSITORY
 
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.orchestrator.parameters import resolved
+from tests.conftest import REPOSITORY
 
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
 MASK = "mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}\n"
