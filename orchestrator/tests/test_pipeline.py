@@ -18,7 +18,13 @@ spec:
   inputs: {{{inputs}}}
   outputs: {{{outputs}}}
 """
-HEAD = "apiVersion: inpaint3d/v1\nkind: Pipeline\nmetadata: {name: toy}\nspec:\n  externals: {capture: {schema: source@1}}\n  stages:\n"
+HEAD = """apiVersion: inpaint3d/v1
+kind: Pipeline
+metadata: {name: toy}
+spec:
+  externals: {capture: {schema: source@1}}
+  stages:
+"""
 
 
 def write(folder: Path, nodes: str, **stages: tuple[str, str]) -> Path:
@@ -72,7 +78,7 @@ def test_a_circle_is_shown(tmp_path):
         "    - {name: a, stage: a, inputs: {capture: b.capture}}\n"
         "    - {name: b, stage: b, inputs: {capture: a.capture}}\n"
     )
-    with pytest.raises(ConfigurationError, match="circle: (a -> b -> a|b -> a -> b)"):
+    with pytest.raises(ConfigurationError, match=r"circle: (a -> b -> a|b -> a -> b)"):
         Pipeline(write(tmp_path, nodes, a=loop, b=loop))
 
 
