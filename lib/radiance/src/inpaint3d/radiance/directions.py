@@ -4,8 +4,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-COMPONENTS = 16
-
 
 def spherical_harmonics(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 16"]:
     """The real orthonormal harmonics of degrees 0 to 3 of unit directions, by degree, then order."""

@@ -1,6 +1,5 @@
 """The radiance field: hash grids and small networks (paper, appendix "Model Details"; conformance N1 to N6)."""
 
-import itertools
 import math
 from typing import Literal, NamedTuple
 
@@ -11,6 +10,7 @@ from torch import Tensor, nn
 from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.radiance import backends, directions, safe
+from inpaint3d.radiance.architecture import levels_of, parameter_shapes
 from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.spacing import Spacing
 
@@ -46,17 +46,14 @@ class RadianceField(nn.Module):
         self.spec = spec
         self._backend_name: backends.Name | None = backend
         self.spacing = Spacing(spec.near, spec.far, spec.contraction)
+        shapes = parameter_shapes(spec)
         generator = torch.Generator().manual_seed(seed)
-        self.proposal = HashNetwork(spec.proposal_grid, [spec.density_width, 1], generator)
-        heads = 1 + 3 + (spec.bottleneck if spec.view_layers else 0)
-        self.base = HashNetwork(spec.grid, [spec.density_width, heads], generator)
-        self.specular = nn.ParameterList()
-        if spec.view_layers:
-            widths = [spec.bottleneck + directions.COMPONENTS, *[spec.view_width] * spec.view_layers, 3]
-            self.specular.extend(_network(widths, generator))
+        weights = {name: nn.Parameter(_start(name, shape, generator)) for name, shape in shapes.items()}
+        self.proposal = HashNetwork(spec.proposal_grid, "proposal", weights)
+        self.base = HashNetwork(spec.grid, "base", weights)
+        self.specular = nn.ParameterList([w for name, w in weights.items() if name.startswith("specular.")])
         if spec.glo:
-            self.codes = nn.Parameter(torch.zeros(max(spec.glo_views, 1), spec.glo))
-            self.code_map = nn.Parameter(torch.randn(spec.glo, 6, generator=generator) / math.sqrt(spec.glo))
+            self.codes, self.code_map = weights["codes"], weights["code_map"]
 
     @property
     def device(self) -> torch.device:
@@ -122,24 +119,26 @@ class RadianceField(nn.Module):
 class HashNetwork(nn.Module):
     """A hash grid and a network without biases on its features."""
 
-    def __init__(self, grid: GridSpec, widths: list[int], generator: torch.Generator) -> None:
+    def __init__(self, grid: GridSpec, name: str, weights: dict[str, nn.Parameter]) -> None:
         super().__init__()
-        self.levels = backends.reference.levels_of(grid.levels, grid.coarsest, grid.finest, grid.log2_table)
-        entries = self.levels[-1].offset + self.levels[-1].size
-        # Instant-NGP's start: small enough that colours and densities begin alike everywhere.
-        self.table = nn.Parameter((torch.rand(entries, grid.channels, generator=generator) * 2 - 1) * 1e-4)
-        self.weights = nn.ParameterList(_network([grid.levels * grid.channels, *widths], generator))
+        self.levels = levels_of(grid.levels, grid.coarsest, grid.finest, grid.log2_table)
+        self.table = weights[f"{name}.table"]
+        self.weights = nn.ParameterList([w for key, w in weights.items() if key.startswith(f"{name}.weights.")])
 
     def forward(self, cube: Float[Tensor, "n 3"], backend: backends.Backend) -> Float[Tensor, "n _"]:
         return backend.mlp(backend.hash_encode(cube, self.table, self.levels), list(self.weights))
 
 
-def _network(widths: list[int], generator: torch.Generator) -> list[nn.Parameter]:
-    """He's uniform start for ReLU layers, [out, in] each."""
-    return [
-        nn.Parameter((torch.rand(out, into, generator=generator) * 2 - 1) * math.sqrt(6 / into))
-        for into, out in itertools.pairwise(widths)
-    ]
+def _start(name: str, shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
+    """Where each weight starts."""
+    if name == "codes":
+        return torch.zeros(shape)
+    spread = torch.rand(shape, generator=generator) * 2 - 1
+    if name.endswith("table"):
+        # Instant-NGP's start: small enough that colours and densities begin alike everywhere.
+        return spread * 1e-4
+    # He's uniform start for layers of ReLU, [out, in]; `code_map` is [in, out].
+    return spread * math.sqrt(6 / shape[0 if name == "code_map" else 1])
 
 
 def _density(raw: Float[Tensor, " n"], inside: Tensor | None) -> Float[Tensor, " n"]:

@@ -15,6 +15,7 @@ from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.backends.reference import Level
 
 Name = Literal["reference", "native"]
+OPERATIONS = ("levels_of", "hash_encode", "mlp", "composite", "resample", "adam_step")
 
 
 class Backend(Protocol):

@@ -1,43 +1,20 @@
 """The readable truth of every heavy operation; `native` must match it forward and backward."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from inpaint3d.radiance.architecture import Level, levels_of
 from inpaint3d.radiance.volume import alpha_weights
+
+__all__ = ["Level", "adam_step", "composite", "hash_encode", "levels_of", "mlp", "resample"]
 
 # Instant-NGP's spatial hash (arXiv:2201.05989, eq. 4).
 PRIMES = (1, 2654435761, 805459861)
-
-
-class Level(NamedTuple):
-    """One resolution of a hash grid; its vertices lie at (i, j, k) / resolution, 0 <= i, j, k <= resolution."""
-
-    resolution: int  # cells per side
-    offset: int  # first entry in the table
-    size: int  # entries
-    dense: bool  # one entry per vertex, x fastest; else `size` is a power of two and vertices share by hash
-
-
-def levels_of(levels: int, coarsest: int, finest: int, log2_table: int) -> tuple[Level, ...]:
-    """Lay `levels` resolutions, geometric from coarsest to finest, out in one table.
-
-    A level is dense where its (resolution + 1)^3 vertices fit 2^log2_table entries (conformance N3).
-    """
-    growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
-    laid_out: list[Level] = []
-    offset = 0
-    for index in range(levels):
-        resolution = round(coarsest * growth**index)
-        dense = (resolution + 1) ** 3 <= 2**log2_table
-        size = (resolution + 1) ** 3 if dense else 2**log2_table
-        laid_out.append(Level(resolution, offset, size, dense))
-        offset += size
-    return tuple(laid_out)
 
 
 def corners(points: Float[Tensor, "3 n"], level: Level) -> tuple[Int64[Tensor, "8 n"], Float[Tensor, "8 n"]]:

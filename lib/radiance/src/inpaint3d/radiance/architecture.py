@@ -1,0 +1,81 @@
+"""What a field of a given spec consists of, without any tensor library: grid levels, and the shape of each weight."""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+from inpaint3d.contracts.artifacts import EffectPlan, FieldSpec, GridSpec
+
+# Spherical harmonics of degrees 0 to 3.
+DIRECTION_COMPONENTS = 16
+
+
+class Level(NamedTuple):
+    """One resolution of a hash grid; its vertices lie at (i, j, k) / resolution, 0 <= i, j, k <= resolution."""
+
+    resolution: int  # cells per side
+    offset: int  # first entry in the table
+    size: int  # entries
+    dense: bool  # one entry per vertex, x fastest; else `size` is a power of two and vertices share by hash
+
+
+def levels_of(levels: int, coarsest: int, finest: int, log2_table: int) -> tuple[Level, ...]:
+    """Lay `levels` resolutions, geometric from coarsest to finest, out in one table.
+
+    A level is dense where its (resolution + 1)^3 vertices fit 2^log2_table entries (conformance N3).
+    """
+    growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
+    laid_out: list[Level] = []
+    offset = 0
+    for index in range(levels):
+        resolution = round(coarsest * growth**index)
+        dense = (resolution + 1) ** 3 <= 2**log2_table
+        size = (resolution + 1) ** 3 if dense else 2**log2_table
+        laid_out.append(Level(resolution, offset, size, dense))
+        offset += size
+    return tuple(laid_out)
+
+
+def planned_spec(
+    size: FieldSpec, plan: EffectPlan, *, views: int, centre_depth: float, near_share: float, bound: float
+) -> FieldSpec:
+    """`size` with the effects that the plan calls for; what is off is absent from the field, not multiplied by zero.
+
+    views: training views. centre_depth: of the posed capture; the near plane lies at `near_share` of it. bound: half
+    side of the cube that holds the scene, used where contraction is off; rays then end behind the cube.
+    """
+    unbounded, exposure = plan.active("contraction"), plan.active("exposure") and size.glo > 0
+    view_dependent = plan.active("view-dependence")
+    return size.model_copy(
+        update={
+            "contraction": unbounded,
+            "bound": 1.0 if unbounded else bound,
+            "near": near_share * centre_depth,
+            # From a camera within the unit ball to the far corner of the cube.
+            "far": size.far if unbounded else 1 + 3**0.5 * bound,
+            "glo": size.glo if exposure else 0,
+            "glo_views": views if exposure else 0,
+            "view_layers": size.view_layers if view_dependent else 0,
+            "bottleneck": size.bottleneck if view_dependent else 0,
+        }
+    )
+
+
+def parameter_shapes(spec: FieldSpec) -> dict[str, tuple[int, ...]]:
+    """Name and shape of each weight of `fields.RadianceField`, networks [out, in]."""
+    heads = 1 + 3 + (spec.bottleneck if spec.view_layers else 0)
+    shapes = _hash_network("proposal", spec.proposal_grid, [spec.density_width, 1])
+    shapes |= _hash_network("base", spec.grid, [spec.density_width, heads])
+    if spec.view_layers:
+        widths = [spec.bottleneck + DIRECTION_COMPONENTS, *[spec.view_width] * spec.view_layers, 3]
+        shapes |= {f"specular.{i}": (out, into) for i, (into, out) in enumerate(pairwise(widths))}
+    if spec.glo:
+        shapes |= {"codes": (max(spec.glo_views, 1), spec.glo), "code_map": (spec.glo, 6)}
+    return shapes
+
+
+def _hash_network(name: str, grid: GridSpec, widths: list[int]) -> dict[str, tuple[int, ...]]:
+    levels = levels_of(grid.levels, grid.coarsest, grid.finest, grid.log2_table)
+    shapes: dict[str, tuple[int, ...]] = {f"{name}.table": (levels[-1].offset + levels[-1].size, grid.channels)}
+    for i, (into, out) in enumerate(pairwise([grid.levels * grid.channels, *widths])):
+        shapes[f"{name}.weights.{i}"] = (out, into)
+    return shapes
