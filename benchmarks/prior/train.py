@@ -69,23 +69,20 @@ def main() -> None:
     stop = []
     signal.signal(signal.SIGTERM, lambda *_: stop.append(True))
     wall, cpu, saved = time.monotonic() - clock["wall_s"], time.process_time() - clock["cpu_s"], time.monotonic()
-    losses: list[float] = []
     while not stop and time.monotonic() - wall < options.hours * 3600:
         rng, generator = step_generators(0, state.step)
         batch = crops(photos, options.batch, rng)
         rate = options.rate * min(1.0, (state.step + 1) / 200)
-        losses.append(
-            train_step(
-                state,
-                lambda prior, batch=batch, generator=generator: denoising_loss(prior, batch, generator, (0.02, 1.0)),
-                learning_rate=rate,
-                ema=0.9995,
-            )
+        train_step(
+            state,
+            lambda prior, batch=batch, generator=generator: denoising_loss(prior, batch, generator, (0.02, 1.0)),
+            learning_rate=rate,
+            ema=0.9995,
         )
         clock = {"wall_s": time.monotonic() - wall, "cpu_s": time.process_time() - cpu}
         if state.step % 50 == 0:
-            append(options.out / "curve.csv", {"step": state.step, "loss": np.mean(losses), **clock})
-            losses = []
+            append(options.out / "curve.csv", {"step": state.step, "loss": np.nanmean(state.pending), **clock})
+            state.pending.clear()
         if state.step % EVERY_STEPS == 0:
             judge(options.out, state, exam, clock, len(photos), options.batch)
         if time.monotonic() - saved > CHECKPOINT_S:

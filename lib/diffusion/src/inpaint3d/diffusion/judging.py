@@ -35,11 +35,19 @@ def mean_estimate(prior: InpaintingPrior, image: Image, mask: Mask, generator: t
 
 
 def compare_fills(
-    prior: InpaintingPrior, image: Image, mask: Mask, generator: torch.Generator, *, steps: int = 8, batch: int = 16
+    prior: InpaintingPrior,
+    image: Image,
+    mask: Mask,
+    generator: torch.Generator,
+    *,
+    region: Mask | None = None,
+    steps: int = 8,
+    batch: int = 16,
 ) -> tuple[dict[str, float], Image]:
     """Mean hole PSNR (dB) of the prior's samples and expectation and of the classical fills; and the samples.
 
-    A sample is not meant to win PSNR (the expectation is), but noise and wrong colours lose it.
+    A sample is not meant to win PSNR (the expectation is), but noise and wrong colours lose it. region: where to judge,
+    if not in the whole hole.
     """
     parts = [(image[i : i + batch], mask[i : i + batch]) for i in range(0, len(image), batch)]
     samples = torch.cat([inpaint(prior, x, m, steps=steps, generator=generator) for x, m in parts])
@@ -50,11 +58,16 @@ def compare_fills(
         "pyramid": pyramid_fill(image, mask),
         "telea": telea_fill(image, mask),
     }
-    figures = {f"hole_psnr_{name}": float(hole_psnr(fill, image, mask).mean()) for name, fill in fills.items()}
+    figures = {
+        f"hole_psnr_{name}": float(hole_psnr(fill, image, mask if region is None else region).mean())
+        for name, fill in fills.items()
+    }
     return figures, samples
 
 
-def grid(image: Image, mask: Mask, samples: Image, expected: Image | None = None) -> UInt8[np.ndarray, "h w 3"]:
+def grid(
+    image: Image, mask: Mask, samples: Image, expected: Image | None = None
+) -> UInt8[np.ndarray, "rows columns 3"]:
     """One row per picture: hole in grey, sample, expectation if given, truth; with 2 px between them."""
     columns = [torch.where(mask > 0, 0.0, image), samples, *([] if expected is None else [expected]), image]
     rows = []
@@ -63,5 +76,5 @@ def grid(image: Image, mask: Mask, samples: Image, expected: Image | None = None
     return np.concatenate(rows, axis=0)
 
 
-def _to_bytes(picture: Float[Tensor, "3 h w"]) -> UInt8[np.ndarray, "h w 3"]:
+def _to_bytes(picture: Float[Tensor, "3 h w"]) -> UInt8[np.ndarray, "rows columns 3"]:
     return ((picture.permute(1, 2, 0).cpu() + 1) * 127.5).round().clamp(0, 255).byte().contiguous().numpy()

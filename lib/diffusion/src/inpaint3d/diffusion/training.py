@@ -4,6 +4,7 @@ Randomness is counted, not carried: everything a step draws comes from (seed, st
 resumed draws what the unbroken one would have.
 """
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -41,8 +42,16 @@ class TrainingState:
     """Exponential moving average of the weights: the one that is used afterwards."""
     optimiser: torch.optim.Adam
     step: int = 0
-    curve: list[tuple[int, float]] = field(default_factory=list)
-    """(step, loss averaged since the entry before)."""
+    curve: list[tuple[int, float, float]] = field(default_factory=list)
+    """(step, loss averaged since the row before, loss on held-out pictures)."""
+    pending: list[float] = field(default_factory=list)
+    """Losses since the last row of the curve."""
+
+    def close_row(self, held_out_loss: float) -> None:
+        """Turn the pending losses into a row of the curve. Steps without a finite loss are left out of the average."""
+        finite = [loss for loss in self.pending if math.isfinite(loss)]
+        self.curve.append((self.step, float(np.mean(finite)) if finite else math.inf, held_out_loss))
+        self.pending.clear()
 
 
 def begin(spec: PriorSpec, seed: int, start: InpaintingPrior | None = None, *, bf16: bool = False) -> TrainingState:
@@ -121,14 +130,16 @@ def train_step(
     norm = torch.nn.utils.clip_grad_norm_(state.prior.parameters(), clip)
     state.step += 1
     if not torch.isfinite(norm):
-        return float("nan")
+        state.pending.append(math.nan)
+        return math.nan
     state.optimiser.step()
     # Warm-up: early on the average must forget the random start faster than the final decay would.
     decay = min(ema, (1 + state.step) / (10 + state.step))
     with torch.no_grad():
         for average, weight in zip(state.average.parameters(), state.prior.parameters(), strict=True):
             average.lerp_(weight, 1 - decay)
-    return loss.item()
+    state.pending.append(loss.item())
+    return state.pending[-1]
 
 
 def warmed_up(peak: float, step: int, total: int, warm_up: int, final_share: float = 0.1) -> float:
@@ -147,7 +158,8 @@ def save_checkpoint(path: Path, state: TrainingState) -> None:
         for key, value in state.optimiser.state.get(parameter, {}).items():
             tensors[f"optimiser.{key}.{name}"] = value
     tensors["step"] = torch.tensor(state.step)
-    tensors["curve"] = torch.tensor(state.curve, dtype=torch.float64).reshape(-1, 2)
+    tensors["curve"] = torch.tensor(state.curve, dtype=torch.float64).reshape(-1, 3)
+    tensors["pending"] = torch.tensor(state.pending, dtype=torch.float64)
     partial = path.with_suffix(".partial")
     save_file({name: value.detach().contiguous() for name, value in tensors.items()}, partial)
     with partial.open("rb") as file:
@@ -169,7 +181,8 @@ def load_checkpoint(path: Path, state: TrainingState) -> None:
         if moments["step"] is not None:
             state.optimiser.state[parameter] = moments
     state.step = int(tensors["step"])
-    state.curve = [(int(step), float(loss)) for step, loss in tensors["curve"].tolist()]
+    state.curve = [(int(step), loss, held_out) for step, loss, held_out in tensors["curve"].tolist()]
+    state.pending = tensors["pending"].tolist()
 
 
 def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -1,0 +1,118 @@
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from inpaint3d.diffusion.masks import random_masks
+from inpaint3d.diffusion.training import (
+    Batch,
+    TrainingState,
+    begin,
+    denoising_loss,
+    load_checkpoint,
+    save_checkpoint,
+    step_generators,
+    train_step,
+    warmed_up,
+)
+
+
+def _step(state: TrainingState, pictures: torch.Tensor) -> float:
+    rng, generator = step_generators(5, state.step)
+    image = pictures[torch.from_numpy(rng.integers(len(pictures), size=4))]
+    hole = torch.from_numpy(random_masks(4, 16, rng)).float()[:, None]
+    batch = Batch(image, hole, torch.ones_like(hole))
+    return train_step(state, lambda prior: denoising_loss(prior, batch, generator), learning_rate=2e-3, ema=0.9)
+
+
+def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(shipped_like, picture, tmp_path: Path) -> None:
+    unbroken = begin(shipped_like, seed=0)
+    losses = [_step(unbroken, picture) for _ in range(7)]
+
+    killed = begin(shipped_like, seed=0)
+    first = [_step(killed, picture) for _ in range(2)]
+    killed.close_row(held_out_loss=0.5)
+    first.append(_step(killed, picture))
+    save_checkpoint(tmp_path / "checkpoint.safetensors", killed)
+    resumed = begin(shipped_like, seed=99)
+    load_checkpoint(tmp_path / "checkpoint.safetensors", resumed)
+    assert resumed.curve == [(2, pytest.approx(np.mean(losses[:2])), 0.5)]
+    assert resumed.pending == losses[2:3]
+    assert first + [_step(resumed, picture) for _ in range(4)] == losses
+    for ours, theirs in ((resumed.prior, unbroken.prior), (resumed.average, unbroken.average)):
+        for name, weight in ours.state_dict().items():
+            assert torch.equal(weight, theirs.state_dict()[name]), name
+
+
+def test_a_checkpoint_of_another_architecture_is_refused(shipped_like, paper_like, tmp_path: Path) -> None:
+    save_checkpoint(tmp_path / "checkpoint.safetensors", begin(paper_like, seed=0))
+    with pytest.raises(ValueError, match="another architecture"):
+        load_checkpoint(tmp_path / "checkpoint.safetensors", begin(shipped_like, seed=0))
+
+
+@pytest.mark.parametrize("spec", ["paper_like", "shipped_like"])
+def test_training_lowers_the_loss(spec, request, picture) -> None:
+    state = begin(request.getfixturevalue(spec), seed=0)
+    losses = [_step(state, picture) for _ in range(60)]
+    assert np.mean(losses[-20:]) < 0.9 * np.mean(losses[:20])
+
+
+@pytest.mark.parametrize("spec", ["paper_like", "shipped_like"])
+@pytest.mark.parametrize("prediction", ["eps", "v", "x0", "residual"])
+def test_pixels_that_must_not_be_learnt_change_no_gradient(spec, prediction, request, picture, hole) -> None:
+    """The leak rule, where it would break first: a pixel with teach = 0 lies in the hole and is marked."""
+    spec = request.getfixturevalue(spec).model_copy(update={"prediction": prediction})
+    gradients = []
+    for marker in (0.0, 0.77):
+        prior = begin(spec, seed=0).prior
+        torch.nn.init.normal_(prior.network.head.weight, std=0.1, generator=torch.Generator().manual_seed(0))
+        teach = torch.ones_like(hole)
+        teach[:, :, 6:9, 6:9] = 0
+        batch = Batch(torch.where(teach > 0, picture, marker), hole, teach)
+        denoising_loss(prior, batch, torch.Generator().manual_seed(1)).backward()
+        gradients.append([p.grad for p in prior.parameters() if p.grad is not None])
+    assert len(gradients[0]) > 20
+    assert all(torch.equal(a, b) for a, b in zip(*gradients, strict=True))
+
+
+def test_an_untrained_residual_prior_has_the_loss_of_its_gaussian(shipped_like) -> None:
+    """Pictures drawn as N(0, d^2) about a grey surround: the target has unit variance, and the output is 0."""
+    spec = shipped_like.model_copy(update={"condition_dropout": 0.0})
+    generator = torch.Generator().manual_seed(0)
+    hole = torch.zeros(64, 1, 16, 16)
+    hole[:, :, 4:12, 4:12] = 1
+    image = hole * spec.residual_std * torch.randn(64, 3, 16, 16, generator=generator)
+    loss = denoising_loss(begin(spec, seed=0).prior, Batch(image, hole, torch.ones_like(hole)), generator)
+    # 12,288 values: known to 1.3 %.
+    assert loss.item() == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_step_without_a_finite_gradient_changes_no_weight(shipped_like, picture) -> None:
+    state = begin(shipped_like, seed=0)
+    _step(state, picture)
+    before = {name: weight.clone() for name, weight in state.prior.state_dict().items()}
+    loss = train_step(state, lambda p: next(p.parameters()).sum() * torch.nan, learning_rate=1e-3)
+    assert np.isnan(loss)
+    assert state.step == 2
+    assert all(torch.equal(weight, before[name]) for name, weight in state.prior.state_dict().items())
+
+
+def test_the_average_forgets_the_start_early_and_follows_slowly_later(shipped_like) -> None:
+    state = begin(shipped_like, seed=0)
+    target = torch.ones_like(state.prior.network.stem.weight)
+    with torch.no_grad():
+        state.prior.network.stem.weight.copy_(target)
+    train_step(state, lambda p: 0.0 * sum(w.sum() for w in p.parameters()), learning_rate=0.0)
+    start = begin(shipped_like, seed=0).average.network.stem.weight
+    # Decay of the first step: 2 / 11.
+    torch.testing.assert_close(state.average.network.stem.weight, 2 / 11 * start + 9 / 11 * target)
+
+
+def test_the_learning_rate_rises_then_falls_to_its_share() -> None:
+    rates = [warmed_up(1e-3, step, 100, 10) for step in range(101)]
+    assert rates[0] == pytest.approx(1e-4)
+    assert max(rates) == pytest.approx(1e-3)
+    assert rates[100] == pytest.approx(1e-4)
+    assert all(late <= early for early, late in itertools.pairwise(rates[10:]))
