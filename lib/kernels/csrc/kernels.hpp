@@ -28,12 +28,51 @@ struct Adam {
   float beta1, beta2, eps;
 };
 
+// Intervals along rays: density and rgb at [count, samples], interval ends tdist [count, samples + 1].
+struct Rays {
+  const float* density;
+  const float* rgb;
+  const float* tdist;
+  int64_t count, samples;
+};
+
+struct CompositeOut {
+  float *weights, *rgb, *opacity, *depth_sum;
+};
+
+struct CompositeGrad {
+  const float *weights, *rgb, *opacity, *depth_sum;
+};
+
+// weights[l] is [width[l + 1], width[l]]; biases is null where there are none.
+struct Network {
+  int layers;
+  const int64_t* width;  // [layers + 1]
+  const float* const* weights;
+  const float* const* biases;
+};
+
+struct NetworkGrad {
+  float* const* weights;
+  float* const* biases;
+};
+
 struct Kernels {
   const char* name;
   void (*hash_forward)(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
   // Adds to table_grad.
   void (*hash_backward)(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
                         int threads);
+  void (*mlp_forward)(const float* x, int64_t count, Network net, float* out, int threads);
+  // x_grad may be null.
+  void (*mlp_backward)(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad,
+                       NetworkGrad grad, int threads);
+  void (*composite_forward)(Rays rays, CompositeOut out, int threads);
+  void (*composite_backward)(Rays rays, const float* weights, CompositeGrad grad, float* density_grad,
+                             float* rgb_grad, int threads);
+  // sdist [rays, n + 1], weights [rays, n], jitter [rays, count] or null, out [rays, count + 1].
+  void (*resample)(const float* sdist, const float* weights, int64_t rays, int64_t n, int64_t count,
+                   const float* jitter, float* out, int threads);
   void (*adam)(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
 };
 

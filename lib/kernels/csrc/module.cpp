@@ -1,11 +1,13 @@
 // Python bindings: every shape and index is checked here, so that the kernels need not.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -57,9 +59,8 @@ void check_rows(size_t points, size_t rows) {
   require(points == rows, std::to_string(points) + " points but " + std::to_string(rows) + " rows of features");
 }
 
-int checked_threads(int threads) {
+void check_threads(int threads) {
   require(threads >= 1, "threads must be at least 1, not " + std::to_string(threads));
-  return threads;
 }
 
 void hash_forward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> table, const std::vector<LevelTuple>& levels,
@@ -68,8 +69,9 @@ void hash_forward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> table, const std:
   const Grid grid = checked_grid(laid_out, table.shape(1), out.shape(1));
   check_rows(points.shape(0), out.shape(0));
   const auto run = active().hash_forward;
+  check_threads(threads);
   nb::gil_scoped_release release;
-  run(points.data(), static_cast<int64_t>(points.shape(0)), table.data(), grid, out.data(), checked_threads(threads));
+  run(points.data(), static_cast<int64_t>(points.shape(0)), table.data(), grid, out.data(), threads);
 }
 
 void hash_backward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> out_grad, const std::vector<LevelTuple>& levels,
@@ -78,9 +80,131 @@ void hash_backward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> out_grad, const 
   const Grid grid = checked_grid(laid_out, table_grad.shape(1), out_grad.shape(1));
   check_rows(points.shape(0), out_grad.shape(0));
   const auto run = active().hash_backward;
+  check_threads(threads);
   nb::gil_scoped_release release;
-  run(points.data(), static_cast<int64_t>(points.shape(0)), out_grad.data(), grid, table_grad.data(),
-      checked_threads(threads));
+  run(points.data(), static_cast<int64_t>(points.shape(0)), out_grad.data(), grid, table_grad.data(), threads);
+}
+
+// A network's arrays, checked, as the kernels take them.
+struct CheckedNetwork {
+  std::vector<int64_t> width;
+  std::vector<const float*> weights, biases;
+
+  CheckedNetwork(const std::vector<In<nb::ndim<2>>>& w, const std::vector<In<nb::ndim<1>>>& b, size_t in) {
+    require(!w.empty(), "a network has at least one layer");
+    require(b.empty() || b.size() == w.size(), std::to_string(w.size()) + " weights but " + std::to_string(b.size()) + " biases");
+    width.push_back(static_cast<int64_t>(in));
+    for (size_t layer = 0; layer < w.size(); ++layer) {
+      const std::string name = "layer " + std::to_string(layer);
+      require(static_cast<int64_t>(w[layer].shape(1)) == width.back(), name + " takes " + std::to_string(w[layer].shape(1)) + " numbers but is given " + std::to_string(width.back()));
+      require(w[layer].shape(0) >= 1 && w[layer].shape(1) >= 1, name + " is empty");
+      width.push_back(static_cast<int64_t>(w[layer].shape(0)));
+      weights.push_back(w[layer].data());
+      if (b.empty()) continue;
+      require(static_cast<int64_t>(b[layer].shape(0)) == width.back(), name + "'s bias does not fit its weights");
+      biases.push_back(b[layer].data());
+    }
+  }
+
+  Network network() const {
+    return {static_cast<int>(weights.size()), width.data(), weights.data(), biases.empty() ? nullptr : biases.data()};
+  }
+};
+
+void mlp_forward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
+                 const std::vector<In<nb::ndim<1>>>& biases, Out<nb::ndim<2>> out, int threads) {
+  const CheckedNetwork net(weights, biases, x.shape(1));
+  require(out.shape(0) == x.shape(0) && static_cast<int64_t>(out.shape(1)) == net.width.back(), "out must be [rows of x, width of the last layer]");
+  const auto run = active().mlp_forward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(x.data(), static_cast<int64_t>(x.shape(0)), net.network(), out.data(), threads);
+}
+
+void mlp_backward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
+                  const std::vector<In<nb::ndim<1>>>& biases, In<nb::ndim<2>> out_grad,
+                  std::optional<Out<nb::ndim<2>>> x_grad, const std::vector<Out<nb::ndim<2>>>& weight_grads,
+                  const std::vector<Out<nb::ndim<1>>>& bias_grads, int threads) {
+  const CheckedNetwork net(weights, biases, x.shape(1));
+  require(out_grad.shape(0) == x.shape(0) && static_cast<int64_t>(out_grad.shape(1)) == net.width.back(), "out_grad must be [rows of x, width of the last layer]");
+  require(!x_grad || (x_grad->shape(0) == x.shape(0) && x_grad->shape(1) == x.shape(1)), "x_grad must have the shape of x");
+  require(weight_grads.size() == weights.size() && bias_grads.size() == biases.size(), "one gradient for each weight and bias");
+  std::vector<float*> weight_data, bias_data;
+  for (size_t layer = 0; layer < weights.size(); ++layer) {
+    require(weight_grads[layer].shape(0) == weights[layer].shape(0) && weight_grads[layer].shape(1) == weights[layer].shape(1), "a weight's gradient must have its shape");
+    weight_data.push_back(weight_grads[layer].data());
+  }
+  for (size_t layer = 0; layer < biases.size(); ++layer) {
+    require(bias_grads[layer].shape(0) == biases[layer].shape(0), "a bias's gradient must have its shape");
+    bias_data.push_back(bias_grads[layer].data());
+  }
+  const auto run = active().mlp_backward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(x.data(), static_cast<int64_t>(x.shape(0)), net.network(), out_grad.data(), x_grad ? x_grad->data() : nullptr,
+      {weight_data.data(), bias_data.data()}, threads);
+}
+
+Rays checked_rays(const In<nb::ndim<2>>& density, const In<nb::shape<-1, -1, 3>>& rgb, const In<nb::ndim<2>>& tdist) {
+  const size_t rays = density.shape(0), samples = density.shape(1);
+  require(rgb.shape(0) == rays && rgb.shape(1) == samples, "rgb must be [rays, samples, 3]");
+  require(tdist.shape(0) == rays && tdist.shape(1) == samples + 1, "tdist must be [rays, samples + 1]");
+  return {density.data(), rgb.data(), tdist.data(), static_cast<int64_t>(rays), static_cast<int64_t>(samples)};
+}
+
+template <class Array>
+void require_shape(const Array& array, std::vector<int64_t> shape, const char* name) {
+  bool same = array.ndim() == shape.size();
+  for (size_t i = 0; same && i < shape.size(); ++i) same = static_cast<int64_t>(array.shape(i)) == shape[i];
+  require(same, std::string(name) + " has the wrong shape");
+}
+
+void composite_forward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, In<nb::ndim<2>> tdist,
+                       Out<nb::ndim<2>> weights, Out<nb::ndim<2>> rgb_out, Out<nb::ndim<1>> opacity,
+                       Out<nb::ndim<1>> depth_sum, int threads) {
+  const Rays rays = checked_rays(density, rgb, tdist);
+  require_shape(weights, {rays.count, rays.samples}, "weights");
+  require_shape(rgb_out, {rays.count, 3}, "rgb_out");
+  require_shape(opacity, {rays.count}, "opacity");
+  require_shape(depth_sum, {rays.count}, "depth_sum");
+  const auto run = active().composite_forward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(rays, {weights.data(), rgb_out.data(), opacity.data(), depth_sum.data()}, threads);
+}
+
+void composite_backward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, In<nb::ndim<2>> tdist,
+                        In<nb::ndim<2>> weights, In<nb::ndim<2>> weights_grad, In<nb::ndim<2>> rgb_out_grad,
+                        In<nb::ndim<1>> opacity_grad, In<nb::ndim<1>> depth_sum_grad, Out<nb::ndim<2>> density_grad,
+                        Out<nb::shape<-1, -1, 3>> rgb_grad, int threads) {
+  const Rays rays = checked_rays(density, rgb, tdist);
+  require_shape(weights, {rays.count, rays.samples}, "weights");
+  require_shape(weights_grad, {rays.count, rays.samples}, "weights_grad");
+  require_shape(rgb_out_grad, {rays.count, 3}, "rgb_out_grad");
+  require_shape(opacity_grad, {rays.count}, "opacity_grad");
+  require_shape(depth_sum_grad, {rays.count}, "depth_sum_grad");
+  require_shape(density_grad, {rays.count, rays.samples}, "density_grad");
+  require_shape(rgb_grad, {rays.count, rays.samples, 3}, "rgb_grad");
+  const auto run = active().composite_backward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(rays, weights.data(), {weights_grad.data(), rgb_out_grad.data(), opacity_grad.data(), depth_sum_grad.data()},
+      density_grad.data(), rgb_grad.data(), threads);
+}
+
+void resample(In<nb::ndim<2>> sdist, In<nb::ndim<2>> weights, std::optional<In<nb::ndim<2>>> jitter,
+              Out<nb::ndim<2>> out, int threads) {
+  const auto rays = static_cast<int64_t>(weights.shape(0)), n = static_cast<int64_t>(weights.shape(1));
+  const int64_t count = static_cast<int64_t>(out.shape(1)) - 1;
+  require(count >= 2, "resample draws at least 2 intervals, not " + std::to_string(count));
+  require(n >= 1, "resample needs at least one interval to draw from");
+  require_shape(sdist, {rays, n + 1}, "sdist");
+  require_shape(out, {rays, count + 1}, "out");
+  if (jitter) require_shape(*jitter, {rays, count}, "jitter");
+  const auto run = active().resample;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(sdist.data(), weights.data(), rays, n, count, jitter ? jitter->data() : nullptr, out.data(), threads);
 }
 
 void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, int64_t step,
@@ -93,8 +217,9 @@ void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<
                       static_cast<float>(1.0 / std::sqrt(1.0 - std::pow(beta2, exponent))),
                       static_cast<float>(beta1), static_cast<float>(beta2), static_cast<float>(eps)};
   const auto run = active().adam;
+  check_threads(threads);
   nb::gil_scoped_release release;
-  run(param.data(), grad.data(), m.data(), v.data(), static_cast<int64_t>(count), settings, checked_threads(threads));
+  run(param.data(), grad.data(), m.data(), v.data(), static_cast<int64_t>(count), settings, threads);
 }
 
 }  // namespace
@@ -112,6 +237,19 @@ NB_MODULE(_native, module) {
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("hash_backward", &hash_backward, "points"_a.noconvert(), "out_grad"_a.noconvert(), "levels"_a,
              "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("mlp_forward", &mlp_forward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out"_a.noconvert(),
+             nb::kw_only(), "threads"_a = 1);
+  module.def("mlp_backward", &mlp_backward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out_grad"_a.noconvert(),
+             "x_grad"_a.noconvert().none(), "weight_grads"_a.noconvert(), "bias_grads"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("composite_forward", &composite_forward, "density"_a.noconvert(), "rgb"_a.noconvert(),
+             "tdist"_a.noconvert(), "weights"_a.noconvert(), "rgb_out"_a.noconvert(), "opacity"_a.noconvert(),
+             "depth_sum"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("composite_backward", &composite_backward, "density"_a.noconvert(), "rgb"_a.noconvert(),
+             "tdist"_a.noconvert(), "weights"_a.noconvert(), "weights_grad"_a.noconvert(),
+             "rgb_out_grad"_a.noconvert(), "opacity_grad"_a.noconvert(), "depth_sum_grad"_a.noconvert(),
+             "density_grad"_a.noconvert(), "rgb_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("resample", &resample, "sdist"_a.noconvert(), "weights"_a.noconvert(), "jitter"_a.noconvert().none(),
+             "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(),
              nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "threads"_a = 1);
 }

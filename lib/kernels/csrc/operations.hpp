@@ -12,6 +12,14 @@ namespace inpaint3d::INPAINT3D_ISA {
 void hash_forward(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
 void hash_backward(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
                    int threads);
+void mlp_forward(const float* x, int64_t count, Network net, float* out, int threads);
+void mlp_backward(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad, NetworkGrad grad,
+                  int threads);
+void composite_forward(Rays rays, CompositeOut out, int threads);
+void composite_backward(Rays rays, const float* weights, CompositeGrad grad, float* density_grad, float* rgb_grad,
+                        int threads);
+void resample(const float* sdist, const float* weights, int64_t rays, int64_t n, int64_t count, const float* jitter,
+              float* out, int threads);
 void adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
 
 }  // namespace inpaint3d::INPAINT3D_ISA

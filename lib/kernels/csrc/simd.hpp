@@ -47,7 +47,8 @@ inline void store(Scalar* to, Vector value) {
   std::memcpy(to, &value, sizeof value);
 }
 
-inline Floats splat(float value) { return Floats{} + value; }
+// Subtracting zero changes no number, not even -0, and so compiles to a plain broadcast.
+inline Floats splat(float value) { return value - Floats{}; }
 
 // A NaN in `a` gives `b`.
 inline Floats lower(Floats a, Floats b) { return a < b ? a : b; }

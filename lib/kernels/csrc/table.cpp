@@ -6,6 +6,7 @@
 
 namespace inpaint3d::INPAINT3D_ISA {
 
-const Kernels kKernels = {INPAINT3D_NAME(INPAINT3D_ISA), hash_forward, hash_backward, adam};
+const Kernels kKernels = {INPAINT3D_NAME(INPAINT3D_ISA), hash_forward, hash_backward, mlp_forward, mlp_backward,
+                          composite_forward, composite_backward, resample, adam};
 
 }  // namespace inpaint3d::INPAINT3D_ISA

@@ -1,12 +1,17 @@
 """The native backend against the reference computed in float64, forward and backward."""
 
+import importlib
+import inspect
+import itertools
+
 import pytest
 import torch
 
-from inpaint3d.radiance.backends import OPERATIONS, reference, select
+from inpaint3d.radiance.architecture import levels_of
+from inpaint3d.radiance.backends import reference, select
 
-native = pytest.importorskip("inpaint3d.radiance.backends.native", exc_type=ImportError)
 kernels = pytest.importorskip("inpaint3d.kernels", exc_type=ImportError)
+native = importlib.import_module("inpaint3d.radiance.backends.native")
 
 
 @pytest.fixture(params=kernels.isas())
@@ -33,17 +38,18 @@ def uniform(*shape, seed=0):
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed))
 
 
-def test_the_native_backend_is_chosen_on_the_cpu_and_offers_every_operation():
+def test_the_native_backend_is_chosen_on_the_cpu_and_has_the_reference_signatures():
     assert select("cpu") is native
-    for name in OPERATIONS:
-        assert callable(getattr(native, name))
+    for name in native.__all__:
+        ours, theirs = (inspect.signature(getattr(module, name)).parameters for module in (native, reference))
+        assert [(p.name, p.default) for p in ours.values()] == [(p.name, p.default) for p in theirs.values()]
 
 
 # Below 2^7 every level hashes; at 2^15 all but the last are dense.
 @pytest.mark.parametrize("log2_table", [3, 9, 15])
 @pytest.mark.parametrize(("count", "channels"), [(1, 1), (333, 2), (65, 3), (200, 4), (64, 8)])
 def test_hash_encode_equals_the_reference(isa, threads, log2_table, count, channels):
-    levels = reference.levels_of(5, 4, 61, log2_table)
+    levels = levels_of(5, 4, 61, log2_table)
     points = uniform(count, 3)
     table = normal(levels[-1].offset + levels[-1].size, channels).requires_grad_()
     exact = table.detach().double().requires_grad_()
@@ -60,7 +66,7 @@ def test_hash_encode_equals_the_reference(isa, threads, log2_table, count, chann
 
 
 def test_hash_encode_of_no_points(isa):
-    levels = reference.levels_of(3, 4, 16, 9)
+    levels = levels_of(3, 4, 16, 9)
     table = normal(levels[-1].offset + levels[-1].size, 4).requires_grad_()
     out = native.hash_encode(torch.empty(0, 3), table, levels)
     assert out.shape == (0, 12)
@@ -69,7 +75,7 @@ def test_hash_encode_of_no_points(isa):
 
 
 def test_hash_encode_takes_views(isa):
-    levels = reference.levels_of(3, 4, 16, 9)
+    levels = levels_of(3, 4, 16, 9)
     entries = levels[-1].offset + levels[-1].size
     points, table = uniform(3, 40).T, normal(2, entries).T.requires_grad_()
     out = native.hash_encode(points, table, levels)
@@ -80,7 +86,7 @@ def test_hash_encode_takes_views(isa):
 
 
 def test_hash_encode_differentiates_points_where_they_ask():
-    levels = reference.levels_of(2, 4, 8, 9)
+    levels = levels_of(2, 4, 8, 9)
     points = uniform(10, 3).requires_grad_()
     table = normal(levels[-1].offset + levels[-1].size, 2)
     (grad,) = torch.autograd.grad(native.hash_encode(points, table, levels).square().sum(), points)
@@ -90,9 +96,155 @@ def test_hash_encode_differentiates_points_where_they_ask():
 
 
 def test_hash_encode_in_float64_is_the_reference():
-    levels = reference.levels_of(2, 4, 8, 9)
+    levels = levels_of(2, 4, 8, 9)
     points, table = uniform(10, 3).double(), normal(levels[-1].offset + levels[-1].size, 2).double()
     assert torch.equal(native.hash_encode(points, table, levels), reference.hash_encode(points, table, levels))
+
+
+def network(*widths, bias):
+    weights = [normal(o, i, seed=o) / i**0.5 for i, o in itertools.pairwise(widths)]
+    return weights, [normal(o, seed=o) for o in widths[1:]] if bias else None
+
+
+def gradients(function, inputs, out_grads):
+    """Outputs of function(*inputs), and the gradients of the inputs; all are computed in the inputs' dtype."""
+    inputs = [tensor.detach().clone().requires_grad_() for tensor in inputs]
+    outs = function(*inputs)
+    outs = outs if isinstance(outs, tuple) else (outs,)
+    return outs, torch.autograd.grad(outs, inputs, [grad.to(outs[0].dtype) for grad in out_grads])
+
+
+@pytest.mark.parametrize("bias", [False, True])
+@pytest.mark.parametrize(
+    ("count", "widths"),
+    [
+        (1, (3, 1)),
+        (5, (1, 7, 2)),
+        (193, (40, 64, 16)),
+        (400, (31, 64, 64, 3)),
+        (97, (17, 33, 130, 49)),
+        (3100, (8, 5, 1)),
+    ],
+)
+def test_mlp_equals_the_reference(isa, threads, count, widths, bias):
+    weights, biases = network(*widths, bias=bias)
+    depth = len(weights)
+    x, out_grad = normal(count, widths[0], seed=7), normal(count, widths[-1], seed=8)
+    with torch.no_grad():  # a unit within rounding of zero may open in one version alone: its rows teach nothing
+        hidden, near_zero = x.double(), torch.zeros(count, dtype=torch.bool)
+        for layer in range(depth - 1):
+            hidden = torch.nn.functional.linear(
+                hidden, weights[layer].double(), None if biases is None else biases[layer].double()
+            )
+            near_zero |= (hidden.abs() < 1e-5).any(1)
+            hidden = hidden.relu()
+    assert near_zero.float().mean() < 0.1
+    out_grad[near_zero] = 0
+
+    def run(backend):
+        return lambda x, *p: backend.mlp(x, p[:depth], p[depth:] if bias else None)
+
+    inputs = [x, *weights, *(biases or [])]
+    outs, grads = gradients(run(native), inputs, [out_grad])
+    truths, exact = gradients(run(reference), [tensor.double() for tensor in inputs], [out_grad])
+    torch.testing.assert_close(outs[0], truths[0].float(), atol=1e-5, rtol=1e-5)
+    for grad, truth in zip(grads, exact, strict=True):  # sums over up to 3,100 rows
+        scale = max(1.0, truth.abs().max().item())
+        torch.testing.assert_close(grad, truth.float(), atol=1e-5 * scale, rtol=0)
+
+
+def test_mlp_of_no_rows(isa):
+    weights, biases = network(6, 8, 2, bias=True)
+    outs, grads = gradients(
+        lambda x, *p: native.mlp(x, p[:2], p[2:]), [torch.empty(0, 6), *weights, *biases], [torch.empty(0, 2)]
+    )
+    assert outs[0].shape == (0, 2)
+    assert all(not grad.any() for grad in grads)
+
+
+def test_mlp_bits_do_not_depend_on_threads():
+    weights, biases = network(10, 64, 4, bias=True)
+    results = []
+    for count in (1, 2, 3):
+        torch.set_num_threads(count)
+        outs, grads = gradients(
+            lambda x, *p: native.mlp(x, p[:2], p[2:]), [normal(20000, 10), *weights, *biases], [normal(20000, 4)]
+        )
+        results.append((*outs, *grads))
+    torch.set_num_threads(1)
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_mlp_shows_nan(isa):
+    weights, biases = network(3, 8, 2, bias=True)
+    x = normal(4, 3)
+    x[1, 2] = torch.nan
+    out = native.mlp(x, weights, biases)
+    assert out[1].isnan().all()
+    assert out[[0, 2, 3]].isfinite().all()
+
+
+# From fog of 1e-8 to walls of 1e4 per interval.
+@pytest.mark.parametrize("decades", [(-8, -6), (-3, 1), (0, 4)])
+@pytest.mark.parametrize(("rays", "samples"), [(0, 8), (1, 1), (3, 63), (300, 32), (5, 130)])
+def test_composite_equals_the_reference(isa, threads, rays, samples, decades):
+    low, high = decades
+    density = 10 ** (low + (high - low) * uniform(rays, samples))
+    rgb, tdist = uniform(rays, samples, 3, seed=1), normal(rays, samples + 1, seed=2).abs().cumsum(1)
+    out_grads = [normal(rays, samples), normal(rays, 3), normal(rays), normal(rays)]
+
+    def run(backend):
+        return lambda density, rgb: backend.composite(density, rgb, tdist.to(rgb.dtype))
+
+    outs, grads = gradients(run(native), [density, rgb], out_grads)
+    truths, exact = gradients(run(reference), [density.double(), rgb.double()], out_grads)
+    for out, truth in zip(outs, truths, strict=True):
+        torch.testing.assert_close(out, truth.float(), atol=1e-6, rtol=2e-5)  # distances reach 100
+    # The density's gradient is a difference of sums of up to 130 terms times distances of up to 100.
+    scale = max(1.0, exact[0].abs().max().item() if rays else 0.0)
+    torch.testing.assert_close(grads[0], exact[0].float(), atol=2e-5 * scale, rtol=1e-4)
+    torch.testing.assert_close(grads[1], exact[1].float(), atol=1e-6, rtol=2e-5)
+
+
+def test_composite_keeps_thin_fog_and_infinite_walls(isa):
+    density = torch.tensor([[1e-8, torch.inf, 1.0]])
+    weights, _, opacity, _ = native.composite(density, torch.ones(1, 3, 3), torch.tensor([[0.0, 1, 2, 3]]))
+    torch.testing.assert_close(weights, torch.tensor([[1e-8, 1.0, 0.0]]), rtol=1e-6, atol=0)
+    torch.testing.assert_close(opacity, torch.ones(1))
+
+
+def test_composite_differentiates_distances_where_they_ask():
+    tdist = torch.linspace(0, 2, 5)[None].requires_grad_()
+    outs = native.composite(torch.ones(1, 4), torch.ones(1, 4, 3), tdist)
+    (grad,) = torch.autograd.grad(outs[3].sum(), tdist)
+    assert grad.abs().max() > 0
+
+
+@pytest.mark.parametrize("jittered", [False, True])
+@pytest.mark.parametrize(("rays", "n", "count"), [(0, 4, 4), (1, 1, 2), (300, 64, 32), (7, 33, 64)])
+def test_resample_equals_the_reference(isa, threads, rays, n, count, jittered):
+    steps = uniform(rays, n) + 0.1
+    sdist = torch.nn.functional.pad(steps.cumsum(1) / steps.sum(1, keepdim=True), (1, 0))
+    weights = uniform(rays, n, seed=1) ** 4
+    weights[: rays // 10] = 0  # empty rays
+    jitter = uniform(rays, count, seed=2) if jittered else None
+    out = native.resample(sdist, weights, count, jitter)
+    # In float32, since the reference's eps depends on the dtype. Where a histogram is nearly empty, a rounding of its
+    # distribution function (1e-7) moves a draw by that over the density there.
+    truth = reference.resample(sdist, weights, count, jitter)
+    torch.testing.assert_close(out, truth, atol=2e-4, rtol=0)
+    assert (out - truth).abs().median() < 1e-6 if rays else True
+    assert (torch.diff(out) >= 0).all()
+    assert (out[:, 0] >= sdist[:, 0]).all()
+    assert (out[:, -1] <= sdist[:, -1]).all()
+
+
+def test_resample_takes_a_jitter_of_any_size(isa):
+    sdist, weights = torch.linspace(0, 1, 5).expand(2, 5), torch.ones(2, 4)
+    jitter = torch.tensor([[-5.0, 9.0, 0.0], [2.0, 1.0, -1.0]])
+    out = native.resample(sdist, weights, 3, jitter)
+    torch.testing.assert_close(out, reference.resample(sdist, weights, 3, jitter))
 
 
 @pytest.mark.parametrize("shape", [(0,), (7,), (33, 5), (70000,)])

@@ -5,6 +5,30 @@ result: each output number is summed by one thread in a fixed order. Wrong shape
 TypeError. Importing this package raises ImportError where it was installed without a C++ compiler.
 """
 
-from inpaint3d.kernels._native import adam, hash_backward, hash_forward, isa, isas, set_isa
+from inpaint3d.kernels._native import (
+    adam,
+    composite_backward,
+    composite_forward,
+    hash_backward,
+    hash_forward,
+    isa,
+    isas,
+    mlp_backward,
+    mlp_forward,
+    resample,
+    set_isa,
+)
 
-__all__ = ["adam", "hash_backward", "hash_forward", "isa", "isas", "set_isa"]
+__all__ = [
+    "adam",
+    "composite_backward",
+    "composite_forward",
+    "hash_backward",
+    "hash_forward",
+    "isa",
+    "isas",
+    "mlp_backward",
+    "mlp_forward",
+    "resample",
+    "set_isa",
+]

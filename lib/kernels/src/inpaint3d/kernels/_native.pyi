@@ -23,6 +23,63 @@ def hash_backward(
 ) -> None:
     """Add the gradient of hash_forward's table, given out_grad [n, levels * c], to table_grad [entries, c]."""
 
+def mlp_forward(x: Array, weights: Sequence[Array], biases: Sequence[Array], out: Array, *, threads: int = 1) -> None:
+    """Write the network's output for x [n, i] to out [n, o]: weights [out, in], ReLU between layers, the last linear.
+
+    biases [out] may be an empty list.
+    """
+
+def mlp_backward(
+    x: Array,
+    weights: Sequence[Array],
+    biases: Sequence[Array],
+    out_grad: Array,
+    x_grad: Array | None,
+    weight_grads: Sequence[Array],
+    bias_grads: Sequence[Array],
+    *,
+    threads: int = 1,
+) -> None:
+    """Overwrite x_grad, weight_grads and bias_grads with mlp_forward's gradients, given out_grad [n, o]."""
+
+def composite_forward(
+    density: Array,
+    rgb: Array,
+    tdist: Array,
+    weights: Array,
+    rgb_out: Array,
+    opacity: Array,
+    depth_sum: Array,
+    *,
+    threads: int = 1,
+) -> None:
+    """Volume-render density [r, s] (>= 0) and rgb [r, s, 3] between the distances tdist [r, s + 1], sorted.
+
+    Writes weights [r, s], rgb_out [r, 3], opacity [r] and the sum of weights x middle distance [r].
+    """
+
+def composite_backward(
+    density: Array,
+    rgb: Array,
+    tdist: Array,
+    weights: Array,
+    weights_grad: Array,
+    rgb_out_grad: Array,
+    opacity_grad: Array,
+    depth_sum_grad: Array,
+    density_grad: Array,
+    rgb_grad: Array,
+    *,
+    threads: int = 1,
+) -> None:
+    """Overwrite density_grad and rgb_grad, given composite_forward's weights and the gradients of its outputs."""
+
+def resample(sdist: Array, weights: Array, jitter: Array | None, out: Array, *, threads: int = 1) -> None:
+    """Draw interval ends out [r, count + 1] from the histograms (sdist [r, n + 1] sorted, weights [r, n]).
+
+    jitter [r, count] in [0, 1) places each draw in its stratum; None: in the middle.
+    """
+
 def adam(
     param: Array,
     grad: Array,

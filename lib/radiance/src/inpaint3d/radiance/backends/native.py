@@ -1,22 +1,23 @@
 """The operations of `reference` on the compiled CPU kernels: same names, same signatures, same results to rounding.
 
-The kernels take float32 tensors on the CPU; anything else (float64, another device, points that want a gradient) goes
-to `reference`, unchanged. Inputs that are not contiguous are copied. Threads are torch's (`torch.get_num_threads()`),
-and results do not depend on their number. Importing this module raises ImportError where the kernels are not installed.
+The kernels take float32 tensors on the CPU; anything else (float64, another device, a gradient that only the reference
+has) goes to `reference`, unchanged. Inputs that are not contiguous are copied. Threads are torch's
+(`torch.get_num_threads()`), and results do not depend on their number. Importing this module raises ImportError where
+the kernels are not installed.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from inpaint3d import kernels
+from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
-from inpaint3d.radiance.backends.reference import Level, composite, levels_of, mlp, resample
 
-__all__ = ["Level", "adam_step", "composite", "hash_encode", "levels_of", "mlp", "resample"]
+__all__ = ["adam_step", "composite", "hash_encode", "mlp", "resample"]
 
 
 def supported(*tensors: Tensor) -> bool:
@@ -60,6 +61,121 @@ def hash_encode(
     if wants_points or table.shape[1] > 8 or not supported(points, table):
         return reference.hash_encode(points, table, levels)
     return _HashEncode.apply(points.detach(), table, levels)
+
+
+class _Mlp(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, layers: int, x: Tensor, *parameters: Tensor) -> Tensor:
+        x, parameters = x.contiguous(), tuple(tensor.contiguous() for tensor in parameters)
+        ctx.save_for_backward(x, *parameters)
+        ctx.layers = layers
+        arrays = [tensor.numpy() for tensor in parameters]
+        out = x.new_empty(x.shape[0], parameters[layers - 1].shape[0])
+        kernels.mlp_forward(x.numpy(), arrays[:layers], arrays[layers:], out.numpy(), threads=torch.get_num_threads())
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        x, *parameters = ctx.saved_tensors
+        arrays = [tensor.numpy() for tensor in parameters]
+        grads = [torch.empty_like(tensor) for tensor in parameters]
+        targets = [tensor.numpy() for tensor in grads]
+        x_grad = torch.empty_like(x) if ctx.needs_input_grad[1] else None
+        kernels.mlp_backward(
+            x.numpy(),
+            arrays[: ctx.layers],
+            arrays[ctx.layers :],
+            grad_outputs[0].contiguous().numpy(),
+            None if x_grad is None else x_grad.numpy(),
+            targets[: ctx.layers],
+            targets[ctx.layers :],
+            threads=torch.get_num_threads(),
+        )
+        return None, x_grad, *grads
+
+
+def mlp(
+    x: Float[Tensor, "n i"],
+    weights: Sequence[Float[Tensor, "_ _"]],
+    biases: Sequence[Float[Tensor, " _"]] | None = None,
+    activation: Literal["relu"] = "relu",
+) -> Float[Tensor, "n {weights[-1].shape[0]}"]:
+    """`reference.mlp`; hidden activations are computed again in the backward pass, not kept."""
+    parameters = (*weights, *(biases or ()))
+    if activation != "relu" or not weights or not supported(x, *parameters):
+        return reference.mlp(x, weights, biases, activation)
+    return _Mlp.apply(len(weights), x, *parameters)
+
+
+class _Composite(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, density: Tensor, rgb: Tensor, tdist: Tensor) -> tuple[Tensor, ...]:
+        density, rgb, tdist = density.contiguous(), rgb.contiguous(), tdist.contiguous()
+        rays = density.shape[0]
+        outs = (torch.empty_like(density), rgb.new_empty(rays, 3), rgb.new_empty(rays), rgb.new_empty(rays))
+        kernels.composite_forward(
+            density.numpy(),
+            rgb.numpy(),
+            tdist.numpy(),
+            *(out.numpy() for out in outs),
+            threads=torch.get_num_threads(),
+        )
+        ctx.save_for_backward(density, rgb, tdist, outs[0])
+        return outs
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor, Tensor, None]:
+        density, rgb, tdist, weights = ctx.saved_tensors
+        grads = (torch.empty_like(density), torch.empty_like(rgb))
+        kernels.composite_backward(
+            density.numpy(),
+            rgb.numpy(),
+            tdist.numpy(),
+            weights.numpy(),
+            *(grad.contiguous().numpy() for grad in grad_outputs),
+            *(grad.numpy() for grad in grads),
+            threads=torch.get_num_threads(),
+        )
+        return *grads, None
+
+
+def composite(
+    density: Float[Tensor, "r s"], rgb: Float[Tensor, "r s 3"], tdist: Float[Tensor, "r s+1"]
+) -> tuple[Float[Tensor, "r s"], Float[Tensor, "r 3"], Float[Tensor, " r"], Float[Tensor, " r"]]:
+    """`reference.composite`; a tdist that wants a gradient goes there."""
+    wants_tdist = torch.is_grad_enabled() and tdist.requires_grad
+    if wants_tdist or not supported(density, rgb, tdist):
+        return reference.composite(density, rgb, tdist)
+    return _Composite.apply(density, rgb, tdist.detach())
+
+
+@torch.no_grad()
+def resample(
+    sdist: Float[Tensor, "r n+1"],
+    weights: Float[Tensor, "r n"],
+    count: int,
+    jitter: Float[Tensor, "r {count}"] | None = None,
+) -> Float[Tensor, "r {count}+1"]:
+    """`reference.resample`."""
+    arrays = [tensor.detach().contiguous() for tensor in (sdist, weights, *(() if jitter is None else (jitter,)))]
+    if count < 2 or not supported(*arrays):
+        return reference.resample(sdist, weights, count, jitter)
+    out = sdist.new_empty(sdist.shape[0], count + 1)
+    sdist, weights = arrays[:2]
+    kernels.resample(
+        sdist.numpy(),
+        weights.numpy(),
+        None if jitter is None else arrays[2].numpy(),
+        out.numpy(),
+        threads=torch.get_num_threads(),
+    )
+    return out
 
 
 @torch.no_grad()

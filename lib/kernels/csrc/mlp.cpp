@@ -1,0 +1,234 @@
+// Small fully connected networks (ReLU between layers, the last one linear), a block of rows at a time: a block's
+// activations stay in the cache from the first layer to the last, and the backward pass computes them again.
+#include "gemm.hpp"
+#include "operations.hpp"
+#include "parallel.hpp"
+
+namespace inpaint3d::INPAINT3D_ISA {
+namespace {
+
+constexpr int64_t kRows = 192;       // rows of a block: a multiple of the tile's
+constexpr int64_t kLeastChunk = 16;  // blocks whose weight gradients are summed together, at least
+constexpr int64_t kMostChunks = 64;
+
+// An aligned array that frees itself; zeroed.
+class Buffer {
+ public:
+  explicit Buffer(int64_t count) : base_(new float[count + 16]()) {}
+  ~Buffer() { delete[] base_; }
+  Buffer(const Buffer&) = delete;
+  Buffer& operator=(const Buffer&) = delete;
+  float* data() const {
+    const uintptr_t address = reinterpret_cast<uintptr_t>(base_);
+    return base_ + ((64 - address % 64) % 64) / sizeof(float);
+  }
+
+ private:
+  float* base_;
+};
+
+// Where each layer's padded numbers lie in one buffer.
+struct Layout {
+  int layers;
+  const int64_t* width;  // [layers + 1]
+  int64_t rows_at(int layer) const {  // activations before `layer`, in a block
+    int64_t at = 0;
+    for (int i = 0; i < layer; ++i) at += kRows * padded(width[i]);
+    return at;
+  }
+  int64_t across_at(int layer) const {  // weights transposed, [in, padded out]
+    int64_t at = 0;
+    for (int i = 0; i < layer; ++i) at += width[i] * padded(width[i + 1]);
+    return at;
+  }
+  int64_t along_at(int layer) const {  // weights, [out, padded in]
+    int64_t at = 0;
+    for (int i = 0; i < layer; ++i) at += width[i + 1] * padded(width[i]);
+    return at;
+  }
+  int64_t bias_at(int layer) const {
+    int64_t at = 0;
+    for (int i = 0; i < layer; ++i) at += padded(width[i + 1]);
+    return at;
+  }
+  int64_t widest() const {
+    int64_t most = 0;
+    for (int i = 0; i <= layers; ++i) most = padded(width[i]) > most ? padded(width[i]) : most;
+    return most;
+  }
+};
+
+// Weights and biases with rows padded to whole vectors.
+struct Packed {
+  Buffer across, along, bias;
+  Packed(const Network& net, const Layout& at)
+      : across(at.across_at(net.layers)), along(at.along_at(net.layers)), bias(at.bias_at(net.layers)) {
+    for (int layer = 0; layer < net.layers; ++layer) {
+      const int64_t in = net.width[layer], out = net.width[layer + 1];
+      float* t = across.data() + at.across_at(layer);
+      float* w = along.data() + at.along_at(layer);
+      for (int64_t o = 0; o < out; ++o) {
+        for (int64_t i = 0; i < in; ++i) {
+          const float value = net.weights[layer][o * in + i];
+          t[i * padded(out) + o] = w[o * padded(in) + i] = value;
+        }
+        if (net.biases) bias.data()[at.bias_at(layer) + o] = net.biases[layer][o];
+      }
+    }
+  }
+};
+
+// Copies [rows, width] between arrays of different row lengths, in whole vectors where both arrays go on that far: what
+// these write past a row is padding, or is overwritten by the next row.
+inline void copy_rows(const float* from, int64_t from_row, float* to, int64_t to_row, int64_t rows, int64_t width) {
+  for (int64_t r = 0; r < rows; ++r) {
+    const int64_t left = (rows - r) * (from_row < to_row ? from_row : to_row);
+    const float* source = from + r * from_row;
+    float* target = to + r * to_row;
+    int64_t i = 0;
+    for (; i < width && i + kLanes <= left; i += kLanes) store(target + i, load<Floats>(source + i));
+    for (; i < width; ++i) target[i] = source[i];
+  }
+}
+
+// Fills the activations behind the first `layers` layers.
+void run_layers(const Network& net, const Layout& at, const Packed& packed, int layers, const float* x, int64_t rows,
+                float* acts) {
+  for (int layer = 0; layer < layers; ++layer) {
+    Product p{};
+    p.a = layer > 0 ? acts + at.rows_at(layer) : x;
+    p.a_row = layer > 0 ? padded(net.width[layer]) : net.width[0];
+    p.a_step = 1;
+    p.b = packed.across.data() + at.across_at(layer);
+    p.b_row = p.c_row = padded(net.width[layer + 1]);
+    p.depth = net.width[layer];
+    p.c = acts + at.rows_at(layer + 1);
+    p.bias = packed.bias.data() + at.bias_at(layer);
+    p.relu = layer + 1 < net.layers;
+    multiply(p, rows, p.c_row);
+  }
+}
+
+// Sums of a chunk: weight and bias gradients, laid out as Packed's.
+struct Sums {
+  float* weights;
+  float* biases;
+};
+
+// Adds one layer's gradients; the gradient of its output is `grad`, that of its input goes to `in_grad` if given.
+void layer_adjoint(const Network& net, const Layout& at, const Packed& packed, int layer, int64_t rows,
+                   const float* acts, const float* grad, float* in_grad, Sums sums) {
+  const int64_t in = padded(net.width[layer]), out = padded(net.width[layer + 1]);
+  Product w{};
+  w.a = grad;
+  w.a_row = 1;
+  w.a_step = out;
+  w.b = acts + at.rows_at(layer);
+  w.b_row = w.c_row = in;
+  w.depth = rows;
+  w.c = sums.weights + at.along_at(layer);
+  w.add = true;
+  multiply(w, net.width[layer + 1], in);
+  if (net.biases) {
+    float* bias = sums.biases + at.bias_at(layer);
+    for (int64_t r = 0; r < rows; ++r)
+      for (int64_t o = 0; o < out; ++o) bias[o] += grad[r * out + o];
+  }
+  if (!in_grad) return;
+  Product x{};
+  x.a = grad;
+  x.a_row = out;
+  x.a_step = 1;
+  x.b = packed.along.data() + at.along_at(layer);
+  x.b_row = x.c_row = in;
+  x.depth = net.width[layer + 1];
+  x.c = in_grad;
+  x.gate = layer > 0 ? acts + at.rows_at(layer) : nullptr;
+  multiply(x, rows, in);
+}
+
+struct Scratch {
+  Buffer acts, even, odd;
+  explicit Scratch(const Layout& at)
+      : acts(at.rows_at(at.layers + 1)), even(kRows * at.widest()), odd(kRows * at.widest()) {}
+};
+
+void block_adjoint(const Network& net, const Layout& at, const Packed& packed, const float* x, const float* out_grad,
+                   int64_t rows, float* x_grad, Sums sums, Scratch& scratch) {
+  float* acts = scratch.acts.data();
+  copy_rows(x, net.width[0], acts, padded(net.width[0]), rows, net.width[0]);
+  run_layers(net, at, packed, net.layers - 1, x, rows, acts);
+  float* grad = scratch.even.data();
+  float* in_grad = scratch.odd.data();
+  const int64_t out = net.width[net.layers];
+  copy_rows(out_grad, out, grad, padded(out), rows, out);
+  for (int layer = net.layers - 1; layer >= 0; --layer) {
+    layer_adjoint(net, at, packed, layer, rows, acts, grad, layer > 0 || x_grad ? in_grad : nullptr, sums);
+    float* swapped = grad;
+    grad = in_grad;
+    in_grad = swapped;
+  }
+  if (x_grad) copy_rows(grad, padded(net.width[0]), x_grad, net.width[0], rows, net.width[0]);
+}
+
+void add_up(const Network& net, const Layout& at, const float* weights, const float* biases, int64_t chunks,
+            NetworkGrad grad) {
+  const int64_t weight_count = at.along_at(net.layers), bias_count = at.bias_at(net.layers);
+  for (int layer = 0; layer < net.layers; ++layer) {
+    const int64_t in = net.width[layer], out = net.width[layer + 1];
+    for (int64_t o = 0; o < out; ++o) {
+      for (int64_t i = 0; i < in; ++i) {
+        float sum = 0.0f;
+        for (int64_t c = 0; c < chunks; ++c) sum += weights[c * weight_count + at.along_at(layer) + o * padded(in) + i];
+        grad.weights[layer][o * in + i] = sum;
+      }
+      if (!net.biases) continue;
+      float sum = 0.0f;
+      for (int64_t c = 0; c < chunks; ++c) sum += biases[c * bias_count + at.bias_at(layer) + o];
+      grad.biases[layer][o] = sum;
+    }
+  }
+}
+
+}  // namespace
+
+void mlp_forward(const float* x, int64_t count, Network net, float* out, int threads) {
+  const Layout at{net.layers, net.width};
+  const Packed packed(net, at);
+  const int64_t chunk = kRows * kLeastChunk, in = net.width[0], last = net.width[net.layers];
+  parallel_for((count + chunk - 1) / chunk, threads, [&](int64_t task) {
+    const Buffer acts(at.rows_at(net.layers + 1));
+    const int64_t end = count < (task + 1) * chunk ? count : (task + 1) * chunk;
+    for (int64_t row = task * chunk; row < end; row += kRows) {
+      const int64_t rows = end - row < kRows ? end - row : kRows;
+      run_layers(net, at, packed, net.layers, x + row * in, rows, acts.data());
+      copy_rows(acts.data() + at.rows_at(net.layers), padded(last), out + row * last, last, rows, last);
+    }
+  });
+}
+
+// Chunks depend on the number of rows alone, and their sums are added in order: the same bits for any threads.
+void mlp_backward(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad, NetworkGrad grad,
+                  int threads) {
+  const Layout at{net.layers, net.width};
+  const Packed packed(net, at);
+  const int64_t blocks = (count + kRows - 1) / kRows;
+  const int64_t even_share = (blocks + kMostChunks - 1) / kMostChunks;
+  const int64_t share = even_share > kLeastChunk ? even_share : kLeastChunk;
+  const int64_t chunks = (blocks + share - 1) / share, in = net.width[0], last = net.width[net.layers];
+  const Buffer weights(chunks * at.along_at(net.layers)), biases(chunks * at.bias_at(net.layers));
+  parallel_for(chunks, threads, [&](int64_t task) {
+    const FlushDenormals flush;
+    Scratch scratch(at);
+    const Sums sums{weights.data() + task * at.along_at(net.layers), biases.data() + task * at.bias_at(net.layers)};
+    const int64_t end = count < (task + 1) * share * kRows ? count : (task + 1) * share * kRows;
+    for (int64_t row = task * share * kRows; row < end; row += kRows) {
+      const int64_t rows = end - row < kRows ? end - row : kRows;
+      block_adjoint(net, at, packed, x + row * in, out_grad + row * last, rows, x_grad ? x_grad + row * in : nullptr,
+                    sums, scratch);
+    }
+  });
+  add_up(net, at, weights.data(), biases.data(), chunks, grad);
+}
+
+}  // namespace inpaint3d::INPAINT3D_ISA
