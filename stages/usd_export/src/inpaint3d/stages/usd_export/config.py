@@ -1,0 +1,39 @@
+"""Parameters of the USD export; defaults are the `standard` preset."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, Positive, Share
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class Config(Closed):
+    """How finely the scene is meshed and textured."""
+
+    views: Annotated[int, Field(ge=2)] = Field(
+        default=32, description="views whose depth is fused and whose colour is baked, spread evenly"
+    )
+    render_longest_side: Count = Field(
+        default=160,
+        description="pixels; renders stored with a field are used where they are at least this big",
+    )
+    grid: Annotated[int, Field(ge=8, le=512)] = Field(
+        default=144, description="cells along the longest side of the volume"
+    )
+    truncation_cells: Annotated[float, Field(ge=1, le=20)] = Field(
+        default=3.0, description="distance at which the fused distance is cut, in cells"
+    )
+    reach: Positive = Field(default=2.5, description="scene units; nothing farther than this from the origin is meshed")
+    opaque: Share = Field(default=0.5, description="pixels of a lower opacity have no surface")
+    smallest_piece: Share = Field(
+        default=0.005, description="connected pieces with a smaller share of the triangles are dropped as floaters"
+    )
+    texture_size: Annotated[int, Field(ge=64, le=8192)] = Field(
+        default=2048, description="texels; side of a texture, at most"
+    )
+    texture_views: Count = Field(default=3, description="views that are blended on one triangle")
+    original: bool = Field(default=True, description="the scene before inpainting, as another variant")
+    metres_per_unit: Positive = Field(default=1.0, description="length of a scene unit, where it is known")
+    block: Count = Field(default=4096, description="rays rendered at once; bounds memory, changes no result")

@@ -1,0 +1,93 @@
+"""What a field looks like from the capture's cameras: colour and depth, stored or rendered."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import FieldView, RadianceFieldArtifact
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.image_io import Image, read_exr, read_image
+
+Render = Callable[[Camera], dict[str, NDArray[np.float32]]]
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceView:
+    """Colour [h, w, 3] and depth along the axis [h, w] of the first surface; 0 where there is none."""
+
+    camera: Camera
+    rgb: Image
+    depth: NDArray[np.float32]
+
+
+def reduced_camera(camera: Camera, longest_side: int) -> Camera:
+    """The camera with its longest side reduced to at most `longest_side` pixels; never enlarged."""
+    factor = min(1.0, longest_side / max(camera.width, camera.height))
+    return camera.scaled(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+
+
+def surface_view(
+    field: Artifact[RadianceFieldArtifact],
+    name: str,
+    camera: Camera,
+    render: Render,
+    *,
+    longest_side: int,
+    opaque: float,
+) -> SurfaceView:
+    """The view that the field's artifact holds, if it is big enough, else a fresh render.
+
+    The surface lies at the median depth: the mean of a ray that grazes an edge lies in the air between two
+    surfaces.
+    """
+    small = reduced_camera(camera, longest_side)
+    stored = next((v for v in field.metadata.views if v.name == name), None)
+    if stored is not None and (found := _stored(field, stored, camera, max(small.width, small.height))):
+        rgb, depth, opacity = found
+    else:
+        maps = render(small)
+        rgb, depth, opacity = maps["rgb"], maps["median_depth"], maps["opacity"]
+    surface = np.isfinite(depth) & (depth > 0) & (opacity >= opaque) & np.isfinite(rgb).all(-1)
+    # A pixel that is not finite has no surface and no colour, and is never read again.
+    colour = np.where(surface[..., None], rgb, 0).astype(np.float32)
+    height, width = depth.shape
+    return SurfaceView(camera.scaled(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
+
+
+def evenly_chosen(count: int, of: int) -> list[int]:
+    """At most `count` indices below `of`, spread evenly, both ends among them."""
+    if count >= of:
+        return list(range(of))
+    return [round(i * (of - 1) / (count - 1)) for i in range(count)]
+
+
+def bounds_of(views: Sequence[SurfaceView], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Corners of the box of all surfaces seen within `reach` of the origin, but for outliers; None without any."""
+    points = []
+    for view in views:
+        seen = view.depth > 0
+        xy = view.camera.pixel_centres()[seen]
+        points.append(view.camera.unproject(xy, view.depth[seen]))
+    every = np.concatenate(points)
+    every = every[np.abs(every).max(1) <= reach]
+    if len(every) == 0:
+        return None
+    low, high = np.quantile(every, [0.005, 0.995], axis=0)
+    margin = 0.03 * float((high - low).max()) + 1e-3
+    return np.maximum(low - margin, -reach), np.minimum(high + margin, reach)
+
+
+def _stored(
+    field: Artifact[RadianceFieldArtifact], view: FieldView, camera: Camera, longest_side: int
+) -> tuple[Image, NDArray[np.float32], NDArray[np.float32]] | None:
+    maps = read_exr(field.path(view.maps))
+    depth, opacity = maps["median.Z"], maps["opacity.A"]
+    rgb = read_image(field.path(view.picture))
+    # A stored render of other proportions is of a part of the view, and its camera is not known.
+    same_shape = abs(depth.shape[1] / depth.shape[0] - camera.width / camera.height) < 0.05
+    if max(depth.shape) < longest_side or not same_shape or rgb.shape[:2] != depth.shape:
+        return None
+    return rgb, depth, opacity

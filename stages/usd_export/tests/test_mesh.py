@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+
+from inpaint3d.scene.cameras import Camera, look_at
+from inpaint3d.stages.usd_export.fusion import Volume, depth_ahead, fuse
+from inpaint3d.stages.usd_export.guides import visual_hull
+from inpaint3d.stages.usd_export.mesh import Mesh, components, extract, without_floaters
+from inpaint3d.stages.usd_export.surface_views import SurfaceView, bounds_of
+
+
+def ball_volume(radius: float = 0.6, n: int = 33) -> Volume:
+    axis = np.linspace(-1, 1, n)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    distance = np.clip((np.sqrt(x * x + y * y + z * z) - radius) / 0.2, -1, 1).astype(np.float32)
+    return Volume(np.full(3, -1.0), 2 / (n - 1), distance, np.ones_like(distance))
+
+
+def views_of_a_ball(radius: float = 0.5, count: int = 12) -> list[SurfaceView]:
+    out = []
+    for i in range(count):
+        angle, height = 2 * np.pi * i / count, 1.2 * (-1) ** i
+        pose = look_at((2 * np.cos(angle), 2 * np.sin(angle), height), (0, 0, 0))
+        camera = Camera(60, 60, 32, 32, 64, 64, pose)
+        origins, directions = camera.rays()
+        b = (origins * directions).sum(-1)
+        under = b * b - (origins**2).sum(-1) + radius**2
+        hit = under > 0
+        t = -b - np.sqrt(np.where(hit, under, 0))
+        depth = np.where(hit, t * (directions @ camera.forward), 0).astype(np.float32)
+        out.append(SurfaceView(camera, np.full((64, 64, 3), 0.5, np.float32), depth))
+    return out
+
+
+def test_a_ball_has_its_radius_and_faces_outwards():
+    mesh = extract(ball_volume())
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 0.6, atol=0.01)
+    outward = (mesh.normals() * mesh.corners().mean(1)).sum(1)
+    assert (outward > 0).all()
+
+
+def test_the_ball_is_closed():
+    triangles = extract(ball_volume()).triangles
+    edges = np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    forward = {tuple(e) for e in edges.tolist()}
+    assert all((b, a) in forward for a, b in forward)
+
+
+def test_what_was_not_seen_has_no_surface():
+    volume = ball_volume()
+    volume.weight[: volume.weight.shape[0] // 2] = 0
+    assert extract(volume).vertices[:, 0].min() >= -1e-6
+
+
+@pytest.mark.parametrize("distance", [0.5, -0.5])
+def test_a_volume_without_a_surface_is_an_empty_mesh(distance):
+    flat = np.full((4, 4, 4), distance, np.float32)
+    assert len(extract(Volume(np.zeros(3), 1.0, flat, np.ones_like(flat))).triangles) == 0
+
+
+def test_fused_depth_of_a_ball_is_a_ball():
+    views = views_of_a_ball()
+    mesh = extract(fuse(views, np.full(3, -0.7), np.full(3, 0.7), grid=40, truncation_cells=3))
+    error = np.abs(np.linalg.norm(mesh.vertices, axis=1) - 0.5)
+    # a pixel is 0.03 wide at the ball, whose silhouettes are uncertain by as much
+    assert np.median(error) < 0.005
+    assert np.quantile(error, 0.99) < 0.03
+
+
+def test_depth_ahead_is_along_the_axis_and_says_nothing_outside():
+    camera = Camera(10, 10, 5, 5, 10, 10, look_at((0, -1, 0), (0, 0, 0)))
+    view = SurfaceView(camera, np.zeros((10, 10, 3), np.float32), np.full((10, 10), 2.0, np.float32))
+    points = np.array([[0, 0, 0], [0.2, 0.5, 0.1], [0, 2, 0], [0, -2, 0], [9, 0, 0]])
+    assert depth_ahead(view, points).tolist() == pytest.approx([1.0, 0.5, -1.0, -np.inf, -np.inf])
+    empty = SurfaceView(camera, view.rgb, np.zeros_like(view.depth))
+    assert np.isneginf(depth_ahead(empty, points)).all()
+
+
+def test_small_pieces_are_dropped_with_their_vertices():
+    ball = extract(ball_volume())
+    floater = np.array([[5.0, 5, 5], [6, 5, 5], [5, 6, 5]])
+    both = Mesh(np.concatenate([floater, ball.vertices]), np.concatenate([[[0, 1, 2]], ball.triangles + 3]))
+    kept = without_floaters(both, 0.01)
+    assert len(kept.triangles) == len(ball.triangles)
+    assert len(kept.vertices) == len(ball.vertices)
+    assert len(without_floaters(both, 0.0).triangles) == len(ball.triangles) + 1
+
+
+def test_a_long_strip_is_one_piece():
+    rng = np.random.default_rng(0)
+    name = rng.permutation(1000)
+    strip = name[np.stack([np.arange(998), np.arange(1, 999), np.arange(2, 1000)], 1)]
+    assert len(np.unique(components(1000, strip))) == 1
+
+
+def test_bounds_leave_out_what_is_beyond_reach():
+    views = views_of_a_ball()
+    views[0].depth[0, 0] = 500.0
+    box = bounds_of(views, reach=2.0)
+    assert box is not None
+    np.testing.assert_allclose(box[1] - box[0], 1.0, atol=0.15)
+    assert bounds_of([SurfaceView(views[0].camera, views[0].rgb, np.zeros((64, 64), np.float32))], 2.0) is None
+
+
+def test_the_hull_of_a_balls_silhouettes_holds_the_ball():
+    views = views_of_a_ball()
+    masks = [v.depth > 0 for v in views]
+    hull = visual_hull([v.camera for v in views], masks, np.full(3, -1.0), np.full(3, 1.0), 40)
+    radii = np.linalg.norm(hull.vertices, axis=1)
+    assert radii.min() > 0.44
+    assert radii.max() < 0.85
+    nothing = visual_hull([v.camera for v in views], [~m & m for m in masks], np.full(3, -1.0), np.full(3, 1.0), 8)
+    assert len(nothing.triangles) == 0

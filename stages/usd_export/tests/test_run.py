@@ -1,0 +1,192 @@
+"""The whole stage on the synthetic room, whose fields store views of exact depth: real artifacts, store and shim."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pxr import Usd, UsdGeom
+
+from inpaint3d.contracts.artifacts import (
+    FieldSpec,
+    FieldView,
+    GridSpec,
+    LensModel,
+    MaskSet,
+    MaskView,
+    PosedCapture,
+    Primitive,
+    RadianceFieldArtifact,
+    Registration,
+    UsdScene,
+)
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.shim import Invocation, execute
+from inpaint3d.contracts.store import Store
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.io import save_field
+from inpaint3d.scene.capture_io import write_points, write_view
+from inpaint3d.scene.image_io import write_exr, write_mask, write_png
+from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+
+TINY = {"render_longest_side": 24, "grid": 24, "texture_size": 512, "reach": 1.5}
+SPEC = FieldSpec(
+    proposal_grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=8, channels=1),
+    proposal_samples=(4,),
+    grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=8, channels=2),
+    samples=4,
+    density_width=8,
+    bottleneck=4,
+    view_width=8,
+    view_layers=1,
+    far=3.0,
+)
+
+
+def posed(store: Store, scene: SyntheticScene) -> str:
+    folder = store.private_folder()
+    views = zip(scene.names, scene.images, scene.cameras, strict=True)
+    frames = tuple(write_view(folder, name, image, camera) for name, image, camera in views)
+    write_points(folder / "points.safetensors", scene.points)
+    registration = Registration(
+        source="known", given=8, registered=8, mean_reprojection_error_px=0, points=9, median_triangulation_angle_deg=9
+    )
+    metadata = PosedCapture(
+        frames=frames, ordered=True, lens=LensModel(model="PINHOLE", params=(), evidence="exact"),
+        registration=registration, source_from_normalised_scale=1, up_evidence="exact", centre_depth=0.85,
+        source_from_normalised=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)),
+    )  # fmt: skip
+    return store.put(folder, "posed-capture", metadata)
+
+
+def masks(store: Store, scene: SyntheticScene, *, missing: int = 0, primitives: tuple[Primitive, ...] = ()) -> str:
+    folder = store.private_folder()
+    views = []
+    for name, mask in list(zip(scene.names, scene.object_masks, strict=True))[missing:]:
+        write_mask(folder / "masks" / f"{name}.png", mask)
+        views.append(MaskView(name=name, mask=f"masks/{name}.png", share=float(mask.mean())))
+    metadata = MaskSet(
+        kind="per-view", task="inpaint", origin="imported", method="exact", views=tuple(views), primitives=primitives
+    )
+    return store.put(folder, "mask-set", metadata)
+
+
+def field(store: Store, scene: SyntheticScene | None, *, ball: bool = False, opacity: float = 1.0) -> str:
+    """A field that stores exact views of the room, or none: then they are rendered from its untrained weights."""
+    folder = store.private_folder()
+    save_field(folder / "weights.safetensors", RadianceField(SPEC, seed=0))
+    (folder / "learning_curve.csv").write_text("step,rays,loss,psnr\n")
+    views = []
+    for i, name in enumerate(scene.names if scene else ()):
+        depth = (scene.depths if ball else scene.empty_depths)[i].astype(np.float32)
+        maps = {"depth.Z": depth, "median.Z": depth, "opacity.A": np.full_like(depth, opacity)}
+        write_exr(folder / "views" / f"{name}.exr", maps)
+        write_png(folder / "views" / f"{name}.png", (scene.images if ball else scene.empty_images)[i])
+        views.append(FieldView(name=name, maps=f"views/{name}.exr", picture=f"views/{name}.png"))
+    metadata = RadianceFieldArtifact(
+        label="joint-sds", spec=SPEC, views=tuple(views), steps=1, seed=0, backend="reference"
+    )
+    return store.put(folder, "radiance-field", metadata)
+
+
+def exported(store: Store, inputs: dict, **parameters) -> tuple[Path, UsdScene]:
+    invocation = Invocation(parameters=TINY | parameters, inputs=inputs, threads=1)
+    record = execute("inpaint3d.stages.usd_export", store, invocation, io.StringIO())
+    artifact = store.open(record.outputs["usd-scene"], UsdScene)
+    return artifact.root, artifact.metadata
+
+
+def surface(root: Path, variant: str) -> np.ndarray:
+    stage = Usd.Stage.Open(str(root / "scene.usdz"))
+    stage.GetDefaultPrim().GetVariantSet("content").SetVariantSelection(variant)
+    return np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetPointsAttr().Get())
+
+
+@pytest.fixture(scope="module")
+def scene() -> SyntheticScene:
+    return synthetic_scene()
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Store:
+    return Store(tmp_path_factory.mktemp("store"))
+
+
+@pytest.fixture(scope="module")
+def inputs(store, scene) -> dict:
+    return {
+        "inpainted": field(store, scene),
+        "original": field(store, scene, ball=True),
+        "posed-capture": posed(store, scene),
+        "mask-set": masks(store, scene),
+    }
+
+
+@pytest.fixture(scope="module")
+def full(store, inputs) -> tuple[Path, UsdScene]:
+    return exported(store, inputs)
+
+
+def test_the_ball_is_in_the_original_and_gone_from_the_inpainted(full):
+    root, _ = full
+
+    def on_the_ball(points: np.ndarray) -> int:
+        above_the_floor = points[:, 2] > -0.05
+        return int((above_the_floor & (np.abs(np.linalg.norm(points, axis=1) - 0.2) < 0.06)).sum())
+
+    assert on_the_ball(surface(root, "original")) > 20
+    assert on_the_ball(surface(root, "inpainted")) == 0
+
+
+def test_the_floor_is_flat_where_it_is(full):
+    points = surface(full[0], "inpainted")
+    near = points[np.abs(points[:, :2]).max(1) < 0.3]
+    # a cell is 0.1 wide
+    assert np.median(np.abs(near[:, 2] + 0.2)) < 0.02
+
+
+def test_metadata_tells_what_is_in_the_files(full):
+    root, scene = full
+    assert scene.variants == ("inpainted", "original")
+    assert (scene.cameras, scene.validation_errors) == (8, 0)
+    assert json.loads((root / "validation.json").read_text())["findings"] == []
+    stage = Usd.Stage.Open(str(root / scene.package))
+    counts = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetFaceVertexCountsAttr().Get()
+    assert len(counts) == scene.triangles
+    assert stage.GetPrimAtPath("/Scene/Mask/Hull")
+    assert {str(p.relative_to(root)) for p in (root / "textures").iterdir()} == set(scene.textures)
+
+
+def test_a_mask_with_primitives_is_drawn_as_such(store, scene, inputs):
+    ball = Primitive(kind="sphere", centre=(0, 0, 0), size=(0.4, 0.4, 0.4))
+    root, metadata = exported(store, inputs | {"mask-set": masks(store, scene, primitives=(ball,))}, original=False)
+    stage = Usd.Stage.Open(str(root / "scene.usdc"))
+    assert stage.GetPrimAtPath("/Scene/Mask/Volume_0").IsA(UsdGeom.Sphere)
+    assert not stage.GetPrimAtPath("/Scene/Mask/Hull")
+    assert metadata.variants == ("inpainted",)
+
+
+def test_views_that_the_field_does_not_store_are_rendered(store, inputs):
+    fog = inputs | {"inpainted": field(store, None)}
+    _, metadata = exported(store, fog, original=False, opaque=0.0, smallest_piece=0.0, views=3)
+    assert metadata.triangles > 0
+    assert metadata.validation_errors == 0
+
+
+def test_a_field_without_a_surface_is_bad_input(store, scene, inputs):
+    fog = inputs | {"inpainted": field(store, scene, opacity=0.1)}
+    with pytest.raises(BadInputError, match="shows no surface"):
+        exported(store, fog)
+
+
+def test_a_view_without_a_mask_is_bad_input(store, scene, inputs):
+    with pytest.raises(BadInputError, match="no mask for view view_000"):
+        exported(store, inputs | {"mask-set": masks(store, scene, missing=1)})
+
+
+def test_the_stub_is_a_valid_scene(store, inputs):
+    record = execute(
+        "inpaint3d.stages.usd_export", store, Invocation(inputs=inputs, threads=1, stub=True), io.StringIO()
+    )
+    assert store.open(record.outputs["usd-scene"], UsdScene).metadata.validation_errors == 0
