@@ -1,0 +1,66 @@
+"""The rays of a step that need no prior: random pixels, masked ones too, and patches for depth (L2, L6, L7)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from inpaint3d.radiance.rays import CameraStack, Rays
+from inpaint3d.radiance.training import Pixels
+from inpaint3d.stages.joint_optimization.scene import SceneView
+
+
+@dataclass(frozen=True)
+class Batch:
+    """All rays of a step in one row: known pixels first, then masked ones, then depth patches.
+
+    target: colours [k, 3] of the first k rays; patches: (p, h, w) of the last p * h * w rays.
+    """
+
+    rays: Rays
+    target: Float[Tensor, "k 3"]
+    patches: tuple[int, int, int]
+
+
+class RayBank:
+    """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper."""
+
+    def __init__(self, views: Sequence[SceneView], device: str) -> None:
+        cameras = [v.camera for v in views]
+        self._known = Pixels.of(cameras, [v.image for v in views], [v.known for v in views], device)
+        masked = any(v.hole.any() for v in views)
+        # The colours that ride along are blank: the scene holds nothing under the mask.
+        self._masked = Pixels.of(cameras, [v.image for v in views], [v.hole for v in views], device) if masked else None
+        self._cameras = CameraStack.of(cameras, device)
+        self._sizes = torch.tensor([[c.width, c.height] for c in cameras])
+
+    def draw(self, count: int, *, patches: int, patch_size: int, generator: torch.Generator) -> Batch:
+        """`count` random rays and `patches` squares of neighbouring pixels of random views."""
+        share = len(self._masked) / (len(self._masked) + len(self._known)) if self._masked else 0.0
+        hidden = round(count * share)
+        known, target = self._known.draw(max(1, count - hidden), generator)
+        parts = [known]
+        if self._masked and hidden:
+            parts.append(self._masked.draw(hidden, generator)[0])
+        if patches:
+            parts.append(self._patches(patches, patch_size, generator))
+        return Batch(joined(parts), target, (patches, patch_size, patch_size))
+
+    def _patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
+        view = torch.randint(len(self._sizes), (count,), generator=generator)
+        room = (self._sizes[view] - size).clamp(min=0) + 1
+        corner = (torch.rand(count, 2, generator=generator) * room).floor()
+        steps = torch.arange(size) + 0.5
+        square = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1)
+        xy = (corner[:, None, None] + square).reshape(-1, 2)
+        device = self._cameras.pinhole.device
+        return self._cameras.rays(view.repeat_interleave(size * size).to(device), xy.to(device))
+
+
+def joined(parts: Sequence[Rays]) -> Rays:
+    """Rays [n] of several draws as one; the view is kept where every part has one."""
+    views = [p.view for p in parts if p.view is not None]
+    view = torch.cat(views) if len(views) == len(parts) else None
+    return Rays(torch.cat([p.origins for p in parts]), torch.cat([p.directions for p in parts]), view)

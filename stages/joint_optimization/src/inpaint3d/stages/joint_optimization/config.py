@@ -1,0 +1,105 @@
+"""Parameters of the joint optimisation. Defaults: the `standard` preset, for two CPU cores.
+
+Row numbers (S6, L3, ...) are those of docs/conformance.md, which also says what the paper's values are.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, Finite, Positive, Share
+
+Count = Annotated[int, Field(ge=1)]
+Steps = Annotated[int, Field(ge=0)]
+Samples = Annotated[int, Field(ge=2)]
+Log2 = Annotated[int, Field(ge=4, le=28)]
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+LABELS = {"none": "masked-reconstruction", "sds": "joint-sds", "denoised-target": "joint-denoised-target"}
+"""What the field of each estimator is called in reports."""
+
+
+class Architecture(Closed):
+    """Size of the field where no initial field brings its own. What the effect plan switches off is left out."""
+
+    levels: Count = Field(default=8, description="resolutions of the hash grid; 10 in the paper (N3)")
+    coarsest: Count = Field(default=16, description="cells per side at the coarsest level (N3)")
+    finest: Count = Field(default=1024, description="cells per side at the finest level; 8192 in the paper (N3)")
+    log2_table: Log2 = Field(default=17, description="log2 of the entries of a level; 21 in the paper (N3)")
+    channels: Count = Field(default=2, description="numbers per entry; 4 in the paper (N3)")
+    samples: Samples = Field(default=16, description="field samples a ray; 32 in the paper (N2)")
+    proposal_samples: tuple[Samples, ...] = Field(
+        default=(32, 24), description="samples a ray of each proposal round; 64, 64 in the paper (N2)"
+    )
+    proposal_levels: Count = Field(default=5, description="resolutions of the proposal's grid; 10 in the paper (N3)")
+    proposal_finest: Count = Field(default=256, description="cells per side of its finest level; 8192 in the paper")
+    proposal_log2_table: Log2 = Field(default=15, description="log2 of the entries of its levels; 21 in the paper")
+    density_width: Count = Field(default=64, description="width of the density networks (N4)")
+    bottleneck: Count = Field(default=15, description="numbers that reach the view-dependent network (N4)")
+    view_width: Count = Field(default=64, description="width of the view-dependent network (N4)")
+    view_layers: Count = Field(default=2, description="its hidden layers, where the plan has view dependence on (N4)")
+    glo: Count = Field(default=4, description="length of the appearance codes, where the plan has exposure on (N6)")
+    near_share: Share = Field(default=0.1, description="where rays start, as a share of the capture's centre depth")
+    far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
+
+
+class Config(Closed):
+    """What is optimised, against what, and for how long."""
+
+    estimator: Literal["none", "sds", "denoised-target"] = Field(
+        default="denoised-target",
+        description="how the prior fills the hole: none (reconstruction only), sds (the paper), denoised-target",
+    )
+    steps: Count = Field(default=600, description="steps done (S11: 600 to 1600 in the paper)")
+    schedule_steps: Count | None = Field(
+        default=None,
+        description="S of the schedules in t and specular colour; None: as many as done; 2200 in the paper",
+    )
+
+    rays: Count = Field(default=2048, description="random rays a step, over all views; 65536 in the paper (N8)")
+    architecture: Architecture = Architecture()
+    learning_rate: Positive = Field(default=1e-2, description="at the start (N7)")
+    final_learning_rate: Positive = Field(default=1e-3, description="at the end of its decay (N7)")
+    learning_rate_steps: Count = Field(
+        default=600, description="steps of the exponential decay; 2200 in the paper (N7)"
+    )
+    learning_rate_warmup: Steps = Field(default=20, description="steps of linear warm-up; 100 in the paper (N7)")
+    network_rate_share: Positive = Field(default=0.2, description="networks' rate over the tables'; 1 in the paper")
+    near_gradient: bool = Field(default=False, description="False: gradients near cameras are turned down; paper: True")
+    proposal_anneal_steps: Steps = Field(default=100, description="steps over which proposals come into force")
+
+    warmup_steps: Steps = Field(
+        default=200, description="reconstruction-only steps at the start; 0 with an initial field (S7)"
+    )
+    distill_every: Count = Field(default=1, description="steps from one distilled patch to the next; 1 in the paper")
+    weight: Positive = Field(default=0.1, description="peak weight of the distillation term (S6)")
+    weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
+    weight_decay_to: Share = Field(default=1.0, description="cosine decay to this share of the peak (S13)")
+    guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)")
+    denoise_steps: Count = Field(default=4, description="DDIM steps of the denoised-target estimator")
+    t_max: Share = Field(default=0.95, description="largest diffusion time (S9)")
+    t_min: Share = Field(default=0.2, description="where the upper end of the diffusion times stops (S9)")
+    t_width: Share = Field(default=0.2, description="width of the interval of diffusion times (S9)")
+    t_floor: Positive = Field(default=0.02, description="no diffusion time lies below this (S9)")
+    centre_steps: Steps = Field(default=50, description="distillation steps on the centre views only (S8)")
+    centre_views: Count = Field(default=3, description="how many views the centre phase uses (S8)")
+    diffuse_start: bool = Field(
+        default=True, description="the prior sees diffuse colour first (S10); off without view-dependent colour"
+    )
+    span_first: Share = Field(default=0.75, description="side of the first windows, share of the short side (S1)")
+    span_last: Share = Field(default=0.5, description="side of the last windows, share of the short side (S1)")
+    least_known: Share = Field(default=0.2, description="share of a window that is known, where a view has such (S1)")
+
+    reconstruction_weight: Positive = Field(default=1.0, description="L3")
+    interlevel_weight: Weight = Field(default=1.0, description="L3")
+    distortion_weight: Weight = Field(default=0.005, description="L3")
+    depth_weight: Weight = Field(default=1e-4, description="weight of depth smoothness (L3, L6)")
+    depth_patches: Count = Field(default=4, description="patches a step for depth smoothness (L6)")
+    depth_patch_size: Annotated[int, Field(ge=2)] = Field(default=8, description="their side, pixels; paper: 64 (L6)")
+    hash_decay_weight: Weight = Field(default=0.1, description="weight decay of the grids (N9)")
+
+    block: Count = Field(default=8192, description="rays rendered at once where there is no other limit (memory)")
+    score_every: Count = Field(default=50, description="steps between points of the learning curve")
+    score_pixels: Count = Field(default=1024, description="known pixels of each test view that a point is taken over")
+    terms_every: Count = Field(default=50, description="steps between rows of gradient norms")
+    view_side: Count = Field(default=160, description="longest side of the stored renders of each view, pixels")

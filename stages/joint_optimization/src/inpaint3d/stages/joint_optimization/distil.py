@@ -1,0 +1,106 @@
+"""One step of distillation: render a window, ask the prior, hand its gradient to the field (rows S1 to S5, S10, L7)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.losses import distortion_loss, interlevel_loss
+from inpaint3d.radiance.rays import Rays, camera_rays
+from inpaint3d.radiance.rendering import render
+from inpaint3d.stages.joint_optimization.guidance import Guide
+from inpaint3d.stages.joint_optimization.patches import Window
+from inpaint3d.stages.joint_optimization.scene import SceneView
+
+
+@dataclass(frozen=True)
+class Distilled:
+    """What a patch adds to the step.
+
+    surrogate: a number whose gradient is the prior's; its value means nothing. interlevel, distortion: means over the
+    rays of the hole, `rays` of them. t: the diffusion time. push: root mean square of the gradient inside the hole.
+    """
+
+    surrogate: Float[Tensor, ""]
+    interlevel: Float[Tensor, ""]
+    distortion: Float[Tensor, ""]
+    rays: int
+    t: float
+    push: float
+
+
+def distil(
+    field: RadianceField,
+    guide: Guide,
+    view: SceneView,
+    window: Window,
+    *,
+    timesteps: tuple[float, float],
+    specular_scale: float,
+    block: int,
+    generator: torch.Generator,
+) -> Distilled:
+    """Render the window with the mean appearance code and pull its hole towards what the prior believes.
+
+    The gradient is 0 outside the hole, so that only the rays inside are rendered with a graph: known pixels cost a
+    plain render, and nothing is rendered twice unless the hole has more than `block` rays.
+    """
+    rays = camera_rays(view.camera, window.pixels(), device=field.device)
+    hole = torch.from_numpy(window.look_up(view.hole)).to(field.device)
+    inside = Rays(rays.origins[hole], rays.directions[hole])
+    outside = Rays(rays.origins[~hole], rays.directions[~hole])
+    rgb, interlevel, distortion = _with_graph(field, inside, specular_scale, block, generator)
+    patch = torch.empty(*hole.shape, 3, device=field.device)
+    patch[~hole] = _without_graph(field, outside, specular_scale, block)
+    patch[hole] = rgb.detach()
+    gradient, t = guide.gradient(patch, hole, timesteps, generator)
+    inner = gradient[hole]
+    return Distilled(
+        # The gradient is a constant: the surrogate's derivative by the patch is exactly it.
+        surrogate=(rgb * inner).sum(),
+        interlevel=interlevel,
+        distortion=distortion,
+        rays=len(inside.origins),
+        t=t,
+        push=float(inner.square().mean().sqrt()),
+    )
+
+
+@torch.no_grad()
+def _without_graph(field: RadianceField, rays: Rays, specular_scale: float, block: int) -> Float[Tensor, "n 3"]:
+    colours = [
+        render(field, rays[i : i + block], glo="mean", specular_scale=specular_scale).rgb
+        for i in range(0, len(rays.origins), block)
+    ]
+    return torch.cat(colours) if colours else rays.origins.new_zeros(0, 3)
+
+
+def _with_graph(
+    field: RadianceField, rays: Rays, specular_scale: float, block: int, generator: torch.Generator
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, ""], Float[Tensor, ""]]:
+    """Colours of rays and their regularisers' means. Beyond one block, blocks are rendered again when it is their turn
+    to backpropagate: a third more time, and the memory of one block.
+    """
+    count = len(rays.origins)
+    seeds = torch.randint(2**62, (-(-count // block),), generator=generator).tolist()
+
+    def part(start: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
+        some = rays[start : start + block]
+        # Seeded here, so that the second rendering jitters its samples as the first did.
+        jitter = torch.Generator().manual_seed(seed)
+        seen = render(field, some, generator=jitter, glo="mean", specular_scale=specular_scale, near_gradient=False)
+        share = len(some.origins) / count
+        return seen.rgb, share * interlevel_loss(seen), share * distortion_loss(seen)
+
+    starts = range(0, count, block)
+    if len(seeds) == 1:
+        return part(0, seeds[0])
+    parts = [
+        checkpoint(part, start, seed, use_reentrant=False, preserve_rng_state=False)
+        for start, seed in zip(starts, seeds, strict=True)
+    ]
+    rgb, interlevel, distortion = zip(*parts, strict=True)
+    return torch.cat(rgb), torch.stack(interlevel).sum(), torch.stack(distortion).sum()

@@ -1,0 +1,72 @@
+"""The total loss of a step, term by term (the paper's L_total; rows L1 to L8)."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.losses import (
+    charbonnier,
+    depth_smoothness_loss,
+    distortion_loss,
+    hash_decay,
+    interlevel_loss,
+)
+from inpaint3d.radiance.rendering import render
+from inpaint3d.stages.joint_optimization.batch import Batch
+from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.distil import Distilled
+
+Terms = dict[str, Tensor]
+
+
+def step_terms(
+    field: RadianceField,
+    batch: Batch,
+    distilled: Distilled | None,
+    weight: float,
+    config: Config,
+    *,
+    anneal: float,
+    generator: torch.Generator,
+) -> Terms:
+    """The weighted terms; their sum is what the step descends. `weight` is that of distillation at this step (S6).
+
+    Reconstruction sees known pixels alone (L2). The regularisers see every ray of the step, masked ones and those of
+    the distilled hole too (L7): their means are over all of them. A term of weight 0 is not computed.
+    """
+    seen = render(field, batch.rays, generator=generator, anneal=anneal, near_gradient=config.near_gradient)
+    known, total = len(batch.target), len(batch.rays.origins)
+    terms: Terms = {
+        "reconstruction": config.reconstruction_weight * charbonnier(seen.rgb[:known] - batch.target).mean()
+    }
+    share = distilled.rays / (total + distilled.rays) if distilled else 0.0
+    if config.interlevel_weight:
+        here = interlevel_loss(seen)
+        both = here if distilled is None else (1 - share) * here + share * distilled.interlevel
+        terms["interlevel"] = config.interlevel_weight * both
+    if config.distortion_weight:
+        here = distortion_loss(seen)
+        both = here if distilled is None else (1 - share) * here + share * distilled.distortion
+        terms["distortion"] = config.distortion_weight * both
+    if config.hash_decay_weight:
+        terms["hash_decay"] = config.hash_decay_weight * hash_decay(field)
+    if config.depth_weight:
+        p, h, w = batch.patches
+        depth, rgb = seen.depth[-p * h * w :].reshape(p, h, w), seen.rgb[-p * h * w :].reshape(p, h, w, 3)
+        terms["depth"] = config.depth_weight * depth_smoothness_loss(depth, rgb)
+    if distilled is not None and weight > 0:
+        terms["distillation"] = weight * distilled.surrogate
+    return terms
+
+
+def gradient_norms(field: RadianceField, terms: Mapping[str, Tensor]) -> dict[str, float]:
+    """Euclidean norm over all parameters of each term's gradient (L8). Keeps the graph: as dear as a step a term."""
+    parameters = list(field.parameters())
+    norms: dict[str, float] = {}
+    for name, term in terms.items():
+        gradients = torch.autograd.grad(term, parameters, retain_graph=True, allow_unused=True)
+        squares = [g.square().sum() for g in gradients if g is not None]
+        norms[name] = float(torch.stack(squares).sum().sqrt())
+    return norms

@@ -1,0 +1,83 @@
+"""Which window of a view the prior looks at: overlapping the hole, with known pixels around it (row S1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Window:
+    """A square of `size` x `size` rays in one view, `spacing` pixels apart; (x, y) is its upper left corner, pixels."""
+
+    view: int
+    x: float
+    y: float
+    spacing: float
+    size: int
+
+    def pixels(self) -> NDArray[np.float32]:
+        """Centres of its cells in pixel coordinates (centres at +0.5), [size, size, 2] as (x, y)."""
+        steps = (np.arange(self.size, dtype=np.float32) + 0.5) * np.float32(self.spacing)
+        xx, yy = np.meshgrid(self.x + steps, self.y + steps)
+        return np.stack([xx, yy], -1).astype(np.float32)
+
+    def look_up(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
+        """The pixels of `image` [h, w, ...] that hold the cells' centres, [size, size, ...]."""
+        xy = np.floor(self.pixels()).astype(np.int64)
+        h, w = image.shape[:2]
+        return image[np.clip(xy[..., 1], 0, h - 1), np.clip(xy[..., 0], 0, w - 1)]
+
+
+def window_side(span: float, size: int, height: int, width: int) -> int:
+    """Side in whole pixels of a window over `span` of the short side, at least one pixel a ray, within the picture."""
+    short = min(height, width)
+    return min(short, max(size, round(span * short)))
+
+
+def box_sums(mask: NDArray[np.bool_], side: int) -> NDArray[np.int64]:
+    """How many pixels of `mask` [h, w] every side x side window holds, [h - side + 1, w - side + 1]."""
+    table = np.pad(mask.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    return table[side:, side:] - table[:-side, side:] - table[side:, :-side] + table[:-side, :-side]
+
+
+def draw_window(
+    hole: NDArray[np.bool_],
+    known: NDArray[np.bool_],
+    view: int,
+    *,
+    size: int,
+    span: float,
+    least_known: float,
+    rng: np.random.Generator,
+) -> Window | None:
+    """A random window that overlaps `hole` [h, w] and of which `known` [h, w] fills at least the share `least_known`.
+
+    Windows are drawn in proportion to the hole that they cover, since the rest of a window only tells the prior where
+    it is. Where no window of this span holds enough known pixels the one with the most is taken; None only where the
+    view has no hole at all.
+    """
+    side = window_side(span, size, *hole.shape)
+    covered = box_sums(hole, side).astype(np.float64)
+    if not covered.any():
+        return None
+    context = box_sums(known, side)
+    enough = np.maximum(1, least_known * side * side)
+    odds = np.where(context >= enough, covered, 0.0)
+    if not odds.any():
+        odds = np.where((covered > 0) & (context == context[covered > 0].max()), covered, 0.0)
+    cumulative = odds.ravel().cumsum()
+    chosen = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
+    y, x = np.unravel_index(min(chosen, odds.size - 1), odds.shape)
+    return Window(view, float(x), float(y), side / size, size)
+
+
+def centre_views(centres: NDArray[np.float64], hole_share: NDArray[np.float64], count: int) -> list[int]:
+    """The views of a small baseline that distillation starts from (S8), nearest first.
+
+    The first is the medoid of the camera centres [n, 3] among the views that see the hole; the others are its nearest.
+    """
+    seeing = np.flatnonzero(hole_share > 0)
+    distance = np.linalg.norm(centres[seeing, None] - centres[None, seeing], axis=-1)
+    medoid = int(distance.sum(1).argmin())
+    return [int(seeing[i]) for i in np.argsort(distance[medoid], kind="stable")[:count]]

@@ -1,0 +1,79 @@
+"""The capture as the optimisation may see it: pictures blanked under the mask as soon as they are read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import MaskSet, PosedCapture
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed
+from inpaint3d.scene.image_io import read_mask
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneView:
+    """image: sRGB-encoded float32 [h, w, 3], 0 where not `known`; hole, known: bool [h, w].
+
+    A pixel is neither where undistortion left the picture empty outside the hole.
+    """
+
+    name: str
+    camera: Camera
+    image: NDArray[np.float32]
+    hole: Mask
+    known: Mask
+
+    @property
+    def hole_share(self) -> float:
+        return float(self.hole.mean())
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Views to fit, views kept back to score the known pixels, and sparse points [p, 3] that no mask covers."""
+
+    train: tuple[SceneView, ...]
+    test: tuple[SceneView, ...]
+    points: NDArray[np.float32]
+
+
+def load_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> Scene:
+    """Every posed view with its mask. BadInputError where a mask is missing, misshapen or leaves nothing known."""
+    by_name = {m.name: m for m in masks.metadata.views}
+    views: dict[str, list[SceneView]] = {"train": [], "test": []}
+    for view in load_posed(posed):
+        if (mask := by_name.get(view.name)) is None:
+            raise BadInputError(f"the mask set has no mask for view {view.name}; re-run mask-authoring on this capture")
+        hole = read_mask(masks.path(mask.mask), (view.camera.width, view.camera.height))
+        known = view.valid() & ~hole
+        # Blanked here, once: nothing after this line can look under the mask, whatever it does wrong.
+        image = np.where(known[..., None], view.image(), np.float32(0))
+        views[view.split].append(SceneView(view.name, view.camera, image, hole, known))
+    if not any(v.known.any() for v in views["train"]):
+        raise BadInputError("the masks cover every training pixel; author a smaller mask")
+    points = load_points(posed.path(posed.metadata.points))
+    in_order = {v.name: v.hole for v in (*views["train"], *views["test"])}
+    seen = unmasked(points, [in_order[f.name] for f in posed.metadata.frames])
+    return Scene(tuple(views["train"]), tuple(views["test"]), points.xyz[seen])
+
+
+def unmasked(points: SparsePoints, holes: Sequence[Mask]) -> Mask:
+    """Which points, bool [p], were never seen under a mask; `holes` are those of the frames that tracks count by."""
+    covered = np.zeros(len(points), bool)
+    xy = np.floor(points.track_xy).astype(np.int64)
+    for frame, hole in enumerate(holes):
+        rows = points.track_frame == frame
+        x, y = xy[rows, 0].clip(0, hole.shape[1] - 1), xy[rows, 1].clip(0, hole.shape[0] - 1)
+        covered[points.track_point[rows][hole[y, x]]] = True
+    return ~covered
+
+
+def distillable(views: Sequence[SceneView]) -> list[int]:
+    """Indices of the views that show both the hole and something known around it."""
+    return [i for i, v in enumerate(views) if v.hole.any() and v.known.any()]

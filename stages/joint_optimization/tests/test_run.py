@@ -1,0 +1,158 @@
+import csv
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from inpaint3d.contracts.artifacts import RadianceFieldArtifact
+from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
+from inpaint3d.contracts.shim import Invocation, execute
+from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.radiance.io import load_field
+from inpaint3d.radiance.rendering import render_view
+from inpaint3d.radiance.training import psnr
+from inpaint3d.scene.synthetic import SyntheticScene
+from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.run import run
+
+MODULE = "inpaint3d.stages.joint_optimization"
+TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
+
+Wired = Callable[..., dict[str, Any]]
+
+
+def optimised(store: Store, inputs: dict[str, Any], **parameters: Any) -> Artifact[RadianceFieldArtifact]:
+    invocation = Invocation(inputs=inputs, parameters=TINY | parameters, threads=1)
+    record = execute(MODULE, store, invocation, io.StringIO())
+    return store.open(record.outputs["radiance-field"], RadianceFieldArtifact)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("estimator", ["sds", "denoised-target", "none"])
+def test_nothing_under_the_mask_reaches_the_field(
+    store: Store, inputs: Wired, room: SyntheticScene, estimator: str
+) -> None:
+    """Repainting every masked pixel with a marker colour changes no byte."""
+    marked = np.where(room.object_masks[..., None], np.array([1.0, 0.0, 1.0], np.float32), room.images)
+    assert (marked != room.images).any()
+    clean = optimised(store, inputs(), estimator=estimator)
+    marker = optimised(store, inputs(marked), estimator=estimator)
+    assert clean.digest == marker.digest
+    # Something outside the mask does reach it: the test can see a difference.
+    other = np.where(room.object_masks[..., None], room.images, 1 - room.images)
+    assert optimised(store, inputs(other), estimator=estimator).digest != clean.digest
+
+
+def test_reconstruction_learns_what_is_known(store: Store, inputs: Wired, room: SyntheticScene) -> None:
+    """It beats the mean colour on the known pixels of the view that it was not fitted to."""
+    result = optimised(store, inputs(), estimator="none", steps=150, rays=512)
+    mean = room.images[~room.object_masks].mean(0)
+    known = ~room.object_masks[2]
+    baseline = psnr(np.broadcast_to(mean, room.images[2].shape), room.images[2], known)
+    assert result.metadata.held_out_psnr is not None
+    assert result.metadata.held_out_psnr > baseline + 1.0
+    field = load_field(result.path("weights.safetensors"), result.metadata.spec)
+    assert psnr(render_view(field, room.cameras[2])["rgb"], room.images[2], known) > baseline + 1.0
+
+
+def test_the_learning_curve_and_the_terms_are_in_the_artifact(store: Store, inputs: Wired) -> None:
+    result = optimised(store, inputs())
+    curve = rows(result.path("learning_curve.csv"))
+    assert [int(r["step"]) for r in curve] == [4, 8, 12]
+    assert all(float(r["psnr"]) > 0 for r in curve)
+    terms = rows(result.path("terms.csv"))
+    assert [int(r["step"]) for r in terms] == [4, 8, 12]
+    for row in terms:
+        ratio = float(row["gradient_distillation"]) / float(row["gradient_reconstruction"])
+        assert float(row["distillation_over_reconstruction"]) == pytest.approx(ratio, rel=1e-5)
+        assert float(row["t_low"]) <= float(row["t"]) <= float(row["t_high"])
+    # S6: two steps of reconstruction, then a rise over two of distillation: the fourth step stands half way.
+    assert [float(r["weight"]) for r in terms] == [0.05, 0.1, 0.1]
+    # S10: the specular share grows over the first half of twelve steps, and the fourth has step number 3.
+    assert [float(r["specular_scale"]) for r in terms] == [0.5, 1.0, 1.0]
+
+
+def test_without_a_prior_no_distillation_is_logged(store: Store, inputs: Wired) -> None:
+    wired = inputs()
+    del wired["diffusion-prior"]
+    result = optimised(store, wired, estimator="none")
+    assert result.metadata.label == "masked-reconstruction"
+    assert {r["gradient_distillation"] for r in rows(result.path("terms.csv"))} == {""}
+    assert result.metadata.decisions["diffuse-only-start"] == "off: no prior is used"
+
+
+def test_an_estimator_without_a_prior_is_a_configuration_error(store: Store, inputs: Wired) -> None:
+    wired = inputs()
+    del wired["diffusion-prior"]
+    with pytest.raises(ConfigurationError, match="estimator: none"):
+        optimised(store, wired, estimator="sds")
+
+
+def test_a_view_without_mask_is_bad_input(store: Store, inputs: Wired) -> None:
+    wired = inputs(masked=5)
+    with pytest.raises(BadInputError, match="view_005"):
+        optimised(store, wired)
+
+
+def test_an_initial_field_goes_on_where_it_was(store: Store, inputs: Wired) -> None:
+    """Its architecture is kept, and distillation starts at once (S7)."""
+    first = optimised(store, inputs(), estimator="none")
+    second = optimised(
+        store, inputs() | {"initial-field": first.digest}, steps=3, terms_every=1, architecture={"levels": 2}
+    )
+    assert second.metadata.spec == first.metadata.spec
+    assert [r["t"] != "" for r in rows(second.path("terms.csv"))] == [True, True, True]
+
+
+def test_effects_that_are_off_are_absent(store: Store, inputs: Wired) -> None:
+    flat = optimised(store, inputs(plan=()), steps=2)
+    assert flat.metadata.spec.view_layers == 0
+    assert not flat.metadata.spec.contraction
+    assert flat.metadata.decisions["diffuse-only-start"] == "off: the field has no view-dependent colour"
+    full = optimised(store, inputs(plan=("contraction", "exposure", "view-dependence")), steps=2)
+    assert full.metadata.spec.contraction
+    assert full.metadata.spec.glo_views == 5
+    assert full.metadata.decisions["diffuse-only-start"].startswith("on: ")
+
+
+class _Stops(Context):
+    """A context that is told to stop at a given step, as SIGTERM would."""
+
+    def __init__(self, work: Path, stop_at: int | None) -> None:
+        super().__init__(seed=0, device="cpu", threads=1, work=work, emit=lambda event, **values: None)
+        self.stop_at = stop_at
+
+    def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
+        self.stopping = self.stopping or (message == "optimising" and done == self.stop_at)
+        super().progress(done, total, message, **figures)
+
+
+def test_stopped_and_resumed_is_the_run_without_the_stop(store: Store, inputs: Wired, tmp_path: Path) -> None:
+    spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
+    config, wired = Config.model_validate(TINY), inputs()
+
+    def artifact(work: Path, *stops: int | None) -> str:
+        for stop in stops:
+            outputs = Outputs(store, spec)
+            ctx = _Stops(work, stop)
+            if stop is None:
+                run(config, Inputs(store, spec, wired), outputs, ctx)
+                return outputs.store_all()["radiance-field"]
+            with pytest.raises(InterruptedRun):
+                run(config, Inputs(store, spec, wired), outputs, ctx)
+        raise AssertionError("the last run must go to its end")
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    whole = artifact(tmp_path / "a", None)
+    assert artifact(tmp_path / "b", 3, 8, None) == whole

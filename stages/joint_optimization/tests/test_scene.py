@@ -1,0 +1,17 @@
+import numpy as np
+
+from inpaint3d.scene.synthetic import SyntheticScene
+from inpaint3d.stages.joint_optimization.scene import unmasked
+
+
+def test_points_under_a_mask_are_dropped(room: SyntheticScene) -> None:
+    """The ball's points go, the room's stay, but for those that some view's mask covers by standing before them."""
+    kept = unmasked(room.points, list(room.object_masks))
+    on_ball = np.linalg.norm(room.points.xyz, axis=1) < 0.2 + 1e-3
+    assert on_ball.any()
+    assert not kept[on_ball].any()
+    assert kept[~on_ball].mean() > 0.9
+
+
+def test_without_masks_all_points_stay(room: SyntheticScene) -> None:
+    assert unmasked(room.points, [np.zeros_like(m) for m in room.object_masks]).all()
