@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from safetensors.numpy import save_file
 
 from inpaint3d.contracts.artifacts import (
     FieldSpec,
-    FieldView,
     GridSpec,
     LensModel,
     MaskSet,
@@ -24,10 +24,10 @@ from inpaint3d.contracts.artifacts import (
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.store import Store
-from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.io import save_field
+from inpaint3d.radiance.artifact import stub_weights, write_curve
+from inpaint3d.radiance.artifact import write_view as radiance_view
 from inpaint3d.scene.capture_io import write_points, write_view
-from inpaint3d.scene.image_io import write_exr, write_mask, write_png
+from inpaint3d.scene.image_io import write_mask
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 
 TINY = {"render_longest_side": 24, "grid": 24, "texture_size": 512, "reach": 1.5}
@@ -75,15 +75,14 @@ def masks(store: Store, scene: SyntheticScene, *, missing: int = 0, primitives: 
 def field(store: Store, scene: SyntheticScene | None, *, ball: bool = False, opacity: float = 1.0) -> str:
     """A field that stores exact views of the room, or none: then they are rendered from its untrained weights."""
     folder = store.private_folder()
-    save_field(folder / "weights.safetensors", RadianceField(SPEC, seed=0))
-    (folder / "learning_curve.csv").write_text("step,rays,loss,psnr\n")
+    save_file(stub_weights(SPEC), folder / "weights.safetensors")
+    write_curve(folder, [])
     views = []
     for i, name in enumerate(scene.names if scene else ()):
         depth = (scene.depths if ball else scene.empty_depths)[i].astype(np.float32)
-        maps = {"depth.Z": depth, "median.Z": depth, "opacity.A": np.full_like(depth, opacity)}
-        write_exr(folder / "views" / f"{name}.exr", maps)
-        write_png(folder / "views" / f"{name}.png", (scene.images if ball else scene.empty_images)[i])
-        views.append(FieldView(name=name, maps=f"views/{name}.exr", picture=f"views/{name}.png"))
+        picture = (scene.images if ball else scene.empty_images)[i]
+        maps = {"rgb": picture, "depth": depth, "median_depth": depth, "opacity": np.full_like(depth, opacity)}
+        views.append(radiance_view(folder, name, maps))
     metadata = RadianceFieldArtifact(
         label="joint-sds", spec=SPEC, views=tuple(views), steps=1, seed=0, backend="reference"
     )

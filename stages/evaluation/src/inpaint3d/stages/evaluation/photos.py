@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.artifacts import MaskSet, MaskView
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
+from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
 from inpaint3d.scene.image_io import Image, Mask, read_mask
@@ -42,7 +43,7 @@ def load_photo(view: View, mask: Mask | None, longest_side: int) -> Photo:
             f"the mask of view {view.name} is {mask.shape[1]}x{mask.shape[0]} but its frame is "
             f"{full[1]}x{full[0]}; re-run mask-authoring on these frames"
         )
-    camera = reduced_camera(view.camera, longest_side)
+    camera = reduced(view.camera, longest_side)
     size = (camera.height, camera.width)
     coverage, unseen = (area_resized(m.astype(np.float32), size) for m in (mask, ~view.valid()))
     return Photo(
@@ -53,12 +54,6 @@ def load_photo(view: View, mask: Mask | None, longest_side: int) -> Photo:
         hole=coverage >= 0.5,
         known=(coverage < 1e-6) & (unseen < 1e-6),
     )
-
-
-def reduced_camera(camera: Camera, longest_side: int) -> Camera:
-    """The camera with its longest side reduced to at most `longest_side` pixels; never enlarged."""
-    factor = min(1.0, longest_side / max(camera.width, camera.height))
-    return camera.scaled(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
 
 
 def area_resized(values: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:

@@ -8,6 +8,7 @@ from inpaint3d.contracts.artifacts import Evaluation, MaskSet, PosedCapture, Pos
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
+from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.evaluation.config import Config
@@ -18,7 +19,6 @@ from inpaint3d.stages.evaluation.photos import (
     evenly_chosen,
     load_photo,
     read_masks,
-    reduced_camera,
 )
 from inpaint3d.stages.evaluation.pictures import coloured_depth, hidden, outlined, showing_most, side_by_side
 from inpaint3d.stages.evaluation.protocols import Bench, Tick, against_truth, held_out, hole_statistics
@@ -116,7 +116,7 @@ def _contact(bench: Bench, capture: Artifact[PosedCapture], masks: Artifact[Mask
     views = load_posed(capture)
     known = read_masks(masks, masks.metadata.views)
     view = views[showing_most([known[v.name] for v in views])]
-    camera = reduced_camera(view.camera, bench.config.contact_longest_side)
+    camera = reduced(view.camera, bench.config.contact_longest_side)
     photo = load_photo(view, known[view.name], max(camera.width, camera.height))
     maps = bench.methods[0].render(photo.camera, bench.config.block)
     bench.tick(f"contact picture of {view.name}")
