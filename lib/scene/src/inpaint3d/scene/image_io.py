@@ -1,0 +1,184 @@
+"""Pictures, masks and float maps on disk, through OpenImageIO.
+
+In memory: float32 [h, w, 3] in [0, 1], sRGB-encoded, upright. Masks: bool [h, w], True inside the hole.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+from numpy.typing import ArrayLike, NDArray
+
+from inpaint3d.contracts.errors import BadInputError, StorageError
+from inpaint3d.scene.colour import srgb_from_linear, to_bytes
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# Time stamps and host names would make equal pictures differ.
+_UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says of its picture, before any pixel is read. Sizes are as stored, not yet turned upright."""
+
+    width: int
+    height: int
+    channels: int
+    bits: int
+    is_float: bool
+    orientation: int
+    format: str
+    exif: dict[str, float | str]
+
+    @property
+    def upright_size(self) -> tuple[int, int]:
+        """Width and height once EXIF orientation is applied (5 to 8 turn by a quarter)."""
+        return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
+
+
+def read_header(path: Path) -> Header:
+    """Size, depth and EXIF; BadInputError for a file that is no picture."""
+    spec = _open(path).spec()
+    pixel = oiio.TypeDesc(spec.format)
+    exif = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, (int, float, str))}
+    return Header(
+        width=spec.width,
+        height=spec.height,
+        channels=spec.nchannels,
+        bits=8 * pixel.basesize(),
+        is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
+        orientation=int(spec.get_int_attribute("Orientation", 1)),
+        format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
+        exif=exif,
+    )
+
+
+def read_image(path: Path) -> Image:
+    """Any picture that OpenImageIO reads, as sRGB-encoded float32 [h, w, 3] in [0, 1], upright.
+
+    Float files hold linear light unless they say otherwise, and are encoded; grey is repeated; alpha is dropped.
+    BadInputError for a file that is damaged, cut short or not finite.
+    """
+    buffer = _open(path)
+    pixels, linear = _pixels(buffer, path), _is_linear(buffer.spec())
+    colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)
+    if not np.isfinite(colour).all():
+        count = int((~np.isfinite(colour)).any(-1).sum())
+        raise BadInputError(f"{path} has {count} pixels that are not finite; export it again without them")
+    return np.ascontiguousarray(srgb_from_linear(colour) if linear else np.clip(colour, 0, 1), np.float32)
+
+
+def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
+    """A mask as bool [h, w]: above the middle of its range is inside. `size` = (width, height) checks the shape."""
+    pixels = _pixels(_open(path), path)
+    # Transparent cut-outs (white everywhere, shape in alpha) are masks too.
+    grey = pixels[..., :3].max(-1)
+    if pixels.shape[2] in (2, 4) and np.ptp(grey) == 0:
+        grey = pixels[..., -1]
+    if size is not None and grey.shape[::-1] != tuple(size):
+        raise BadInputError(
+            f"mask {path} is {grey.shape[1]}x{grey.shape[0]} but its image is {size[0]}x{size[1]}; "
+            "make the mask again on this image"
+        )
+    return grey > 127.5 / 255
+
+
+def write_png(path: Path, image: ArrayLike) -> None:
+    """Write [h, w, 3] or [h, w] in [0, 1] (or uint8 as it is) as an 8-bit PNG; the same pixels give the same bytes."""
+    image = np.asarray(image)
+    pixels = image if image.dtype == np.uint8 else to_bytes(image)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
+    spec.attribute("png:compressionLevel", 4)
+    spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
+    _write(path, spec, pixels)
+
+
+def write_mask(path: Path, mask: ArrayLike) -> None:
+    """Write bool [h, w] as an 8-bit PNG: 255 inside, 0 outside."""
+    write_png(path, np.where(np.asarray(mask, bool), np.uint8(255), np.uint8(0)))
+
+
+def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
+    """Every channel of an EXR by name, float32 [h, w] each."""
+    buffer = _open(path)
+    names = buffer.spec().channelnames
+    pixels = _pixels(buffer, path)
+    return {str(name): np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
+
+
+def write_exr(path: Path, channels: dict[str, ArrayLike], *, half: bool = False) -> None:
+    """Write named [h, w] channels as one EXR, float32 or half; not-finite values are refused (ValueError)."""
+    if not channels:
+        raise ValueError(f"{path}: no channels to write")
+    pixels = np.stack([np.asarray(c, np.float32) for c in channels.values()], -1)
+    if not np.isfinite(pixels).all():
+        raise ValueError(f"{path}: {int((~np.isfinite(pixels)).sum())} values are not finite")
+    height, width, count = pixels.shape
+    spec = oiio.ImageSpec(width, height, count, oiio.HALF if half else oiio.FLOAT)
+    spec.channelnames = tuple(channels)
+    spec.attribute("compression", "zip")
+    _write(path, spec, pixels)
+
+
+def _open(path: Path) -> oiio.ImageBuf:
+    if not path.is_file():
+        raise BadInputError(f"{path} does not exist; check the capture's folder")
+    hint = oiio.ImageSpec()
+    hint.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
+    buffer = oiio.ImageBuf(str(path), 0, 0, hint)
+    if buffer.has_error or not buffer.initialized:
+        raise BadInputError(f"{path} is not a picture that can be read ({_reason(buffer)}); replace or remove it")
+    return buffer
+
+
+def _pixels(buffer: oiio.ImageBuf, path: Path) -> NDArray[np.float32]:
+    """All channels, float32 [h, w, c], upright; BadInputError where the file is damaged."""
+    if buffer.spec().get_string_attribute("oiio:SourceFileFormat", "") == "jpeg" and _cut_short(path):
+        raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
+    if not buffer.read(force=True, convert="float") or buffer.has_error:
+        raise BadInputError(f"{path} is damaged ({_reason(buffer)}); copy it again or remove it")
+    upright = oiio.ImageBufAlgo.reorient(buffer)
+    pixels = upright.get_pixels(oiio.FLOAT)
+    if upright.has_error or pixels is None:
+        raise BadInputError(f"{path} is damaged ({_reason(upright)}); copy it again or remove it")
+    return pixels.reshape(upright.spec().height, upright.spec().width, -1)
+
+
+def _cut_short(path: Path) -> bool:
+    """Whether a JPEG ends before its picture does; decoders pad with grey and don't say so.
+
+    0xFF inside the picture's data is always followed by 0x00, so that FF D9 after the last scan's start is the end.
+    """
+    data = path.read_bytes()
+    return data.find(b"\xff\xd9", max(data.rfind(b"\xff\xda"), 0)) < 0
+
+
+def _is_linear(spec: oiio.ImageSpec) -> bool:
+    space = str(spec.get_string_attribute("oiio:ColorSpace", "")).lower()
+    if space:
+        return space.startswith(("lin", "scene_linear", "acescg"))
+    return oiio.TypeDesc(spec.format).basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE)
+
+
+def _reason(buffer: oiio.ImageBuf) -> str:
+    text = buffer.geterror().strip().splitlines()
+    return text[0] if text else "unknown format"
+
+
+def _write(path: Path, spec: oiio.ImageSpec, pixels: NDArray[np.generic]) -> None:
+    for name in _UNSTABLE:
+        spec.erase_attribute(name)
+    spec.attribute("DateTime", "1970:01:01 00:00:00")  # EXR stamps the clock where there is none
+    path.parent.mkdir(parents=True, exist_ok=True)
+    output = oiio.ImageOutput.create(str(path))
+    if output is None:
+        raise StorageError(f"cannot write {path}: {oiio.geterror()}")
+    written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
+    closed = output.close()
+    if not (written and closed):
+        raise StorageError(f"cannot write {path}: {output.geterror()}; check free space and permissions")

@@ -1,0 +1,50 @@
+"""Masks of volumes: a pixel is in the hole where its ray meets the volume (the paper's ray-mask intersection)."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from inpaint3d.contracts.artifacts import Primitive
+from inpaint3d.contracts.model import Vector3
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.geometry import inside_box, ray_box, ray_sphere
+
+Bools = NDArray[np.bool_]
+
+
+def sphere(centre: ArrayLike, radius: float, *, inverted: bool = False) -> Primitive:
+    """A sphere in scene units; `inverted`: the hole is all that lies outside it."""
+    return Primitive(kind="sphere", centre=_vector(centre), size=_vector([2 * radius] * 3), inverted=inverted)
+
+
+def box(centre: ArrayLike, size: ArrayLike, yaw_deg: float = 0.0, *, inverted: bool = False) -> Primitive:
+    """A box of full sides `size` in scene units, turned counter-clockwise about z."""
+    return Primitive(kind="box", centre=_vector(centre), size=_vector(size), yaw_deg=float(yaw_deg), inverted=inverted)
+
+
+def volume_mask(camera: Camera, primitive: Primitive) -> Bools:
+    """Pixels [h, w] whose ray (through the pixel's centre) is in the hole.
+
+    A plain volume: the ray meets it in front of the camera. An inverted one: the ray misses it (the conformance list's
+    M4), so that what is seen through the volume stays as the only context.
+    """
+    origins, directions = camera.rays()
+    if primitive.kind == "sphere":
+        *_, hit = ray_sphere(origins, directions, primitive.centre, primitive.size[0] / 2)
+    else:
+        *_, hit = ray_box(origins, directions, primitive.centre, primitive.size, primitive.yaw_deg)
+    return ~hit if primitive.inverted else hit
+
+
+def inside_volume(points: ArrayLike, primitive: Primitive) -> Bools:
+    """Whether points [*n, 3] are in the hole."""
+    if primitive.kind == "sphere":
+        offset = np.asarray(points, np.float64) - np.asarray(primitive.centre)
+        held = np.sum(offset**2, -1) <= (primitive.size[0] / 2) ** 2
+    else:
+        held = inside_box(points, primitive.centre, primitive.size, primitive.yaw_deg)
+    return ~held if primitive.inverted else held
+
+
+def _vector(values: ArrayLike) -> Vector3:
+    x, y, z = (float(v) for v in np.asarray(values, np.float64))
+    return (x, y, z)
