@@ -1,0 +1,79 @@
+"""Parameters of diffusion training. Defaults: the `standard` preset, under three minutes on two CPU cores."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.model import Closed, Positive, Share
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class MaskMix(Closed):
+    """Shares of the kinds of random holes; they sum to 1."""
+
+    rectangles: Share = Field(default=0.2, description="one to three boxes (the paper's inpainting masks, D4)")
+    strokes: Share = Field(default=0.2, description="free-form strokes over much of the picture (D4)")
+    blobs: Share = Field(default=0.3, description="wavy ellipses: what spheres and objects project to")
+    own: Share = Field(default=0.3, description="shapes of the capture's own masks, at other places and sizes")
+
+    @model_validator(mode="after")
+    def _sum_to_one(self) -> "MaskMix":
+        total = self.rectangles + self.strokes + self.blobs + self.own
+        if abs(total - 1) > 1e-6:
+            raise ValueError(f"shares of the mask mix sum to {total}; they must sum to 1")
+        return self
+
+
+SMALL = PriorSpec(
+    size=128,
+    width=48,
+    multipliers=(1, 2, 4),
+    blocks=(2, 2, 2),
+    attention=(False, False, True),
+    packing=2,
+    condition="mask-channel",
+    known="clean",
+    loss_region="hole",
+    prediction="residual",
+)
+"""6.4 M parameters; 128 pixels at the cost of 64."""
+
+
+class Config(Closed):
+    """How the prior is built and for how long it learns."""
+
+    prior: PriorSpec = Field(
+        default=SMALL, description="architecture and conditioning; a pretrained prior brings its own"
+    )
+    steps: Annotated[int, Field(ge=0)] = Field(default=320, description="training steps; 2,250,000 in the paper (D12)")
+    batch: Count = Field(default=8, description="crops a step (D12)")
+    learning_rate: Positive = Field(
+        default=8e-4, description="peak of Adam's rate from scratch; 1e-4 in the paper (D13)"
+    )
+    fine_tuning_rate: Positive = Field(default=3e-4, description="peak of Adam's rate from a pretrained prior")
+    warm_up: Annotated[int, Field(ge=0)] = Field(default=20, description="steps of linear warm-up of the rate")
+    ema: Share = Field(default=0.99, description="decay of the running average of weights; 0.9999 in the paper (D13)")
+    t_range: tuple[Share, Share] = Field(
+        default=(0.02, 1.0), description="noise levels learnt; (0, 1) in the paper (D10)"
+    )
+    crop_share: tuple[Share, Share] = Field(
+        default=(0.45, 1.0), description="side of the square crops, share of the frame's shorter side (D3)"
+    )
+    masks: MaskMix = MaskMix()
+    corpus_share: Share = Field(default=0.5, description="share of crops from the image corpus, where one is wired")
+    exam: Count = Field(default=24, description="held-out crops that the prior is judged on")
+    sample_steps: Count = Field(default=8, description="DDIM steps of the samples that it is judged by")
+    curve_rows: Count = Field(default=10, description="rows of the training curve")
+    precision: Literal["auto", "fp32", "bf16"] = Field(
+        default="auto", description="of the matrix products; auto: bf16 where the processor has units for it"
+    )
+
+    @model_validator(mode="after")
+    def _ranges_rise(self) -> "Config":
+        for name in ("t_range", "crop_share"):
+            low, high = getattr(self, name)
+            if low > high or high == 0:
+                raise ValueError(f"{name} is ({low}, {high}): give (low, high) with low <= high and high > 0")
+        return self

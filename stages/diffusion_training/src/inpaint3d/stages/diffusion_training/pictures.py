@@ -1,0 +1,161 @@
+"""Pictures as the prior may see them: known pixels only, cut into squares with holes.
+
+The leak rule lives here: what lies under a mask is overwritten when a frame is read, before anything is resized or
+averaged, and every crop carries the pixels that it touched so that they are neither shown nor taught.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import ImageCorpus, MaskSet, PosedCapture
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.diffusion.masks import random_masks
+from inpaint3d.diffusion.training import Batch
+from inpaint3d.scene.capture_io import load_posed
+from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask
+from inpaint3d.stages.diffusion_training.config import MaskMix
+
+HELD_OUT_EVERY = 8
+"""Every so many training frames stand in as held-out ones where the capture has no test frames."""
+TRIES = 6
+MOST_UNKNOWN = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPicture:
+    """colour float32 [h, w, 3] in [-1, 1], 0 where unknown; unknown bool [h, w]; hole: the mask alone, bool [h, w]."""
+
+    name: str
+    colour: Image
+    unknown: Mask
+    hole: Mask
+
+
+def known_pictures(
+    posed: Artifact[PosedCapture], masks: Artifact[MaskSet]
+) -> tuple[list[KnownPicture], list[KnownPicture]]:
+    """(training, held-out) frames of the capture without the pixels under their masks.
+
+    Raises BadInputError where a frame has no mask, or nothing known is left to learn from.
+    """
+    mask_of = {view.name: view.mask for view in masks.metadata.views}
+    sets: dict[str, list[KnownPicture]] = {"train": [], "test": []}
+    for view in load_posed(posed):
+        if view.name not in mask_of:
+            raise BadInputError(f"frame {view.name} has no mask in the mask set; re-run mask-authoring on this capture")
+        size = (view.camera.width, view.camera.height)
+        hole = read_mask(masks.root / mask_of[view.name], size)
+        sets[view.split].append(_known(view.name, view.image(), hole, hole | ~view.valid()))
+    training, held_out = sets["train"], sets["test"]
+    if not held_out:
+        held_out = training[::HELD_OUT_EVERY]
+        training = [p for i, p in enumerate(training) if i % HELD_OUT_EVERY] or training
+    if not training or min(float(p.unknown.mean()) for p in training) > MOST_UNKNOWN:
+        raise BadInputError(
+            f"{len(training)} training frames, none with half of its pixels known: a prior cannot be learnt from "
+            "them; use a smaller mask, or wire a pretrained prior and set steps to 0"
+        )
+    return training, held_out
+
+
+def corpus_pictures(corpus: Artifact[ImageCorpus] | None) -> list[KnownPicture]:
+    """The training pictures of an image corpus; all of their pixels are known."""
+    if corpus is None:
+        return []
+    paths = [(p.name, corpus.root / p.path) for p in corpus.metadata.pictures if p.split == "train"]
+    images = [(name, read_image(path)) for name, path in paths]
+    return [
+        _known(name, image, np.zeros(image.shape[:2], bool), np.zeros(image.shape[:2], bool)) for name, image in images
+    ]
+
+
+def _known(name: str, image: Image, hole: Mask, unknown: Mask) -> KnownPicture:
+    colour = image * 2 - 1
+    colour[unknown] = 0
+    return KnownPicture(name, colour, unknown, hole)
+
+
+@dataclass(frozen=True, eq=False)
+class Cropper:
+    """Random squares of `size` pixels with random holes."""
+
+    size: int
+    share: tuple[float, float]
+    mix: MaskMix
+    shapes: Sequence[Mask]
+    """Masks of the capture: their shapes serve as holes elsewhere."""
+
+    def batch(self, pictures: Sequence[KnownPicture], rng: np.random.Generator) -> Batch:
+        """One crop of each picture; unknown pixels lie in the hole and are not taught."""
+        crops = [self._crop(picture, rng) for picture in pictures]
+        colour, unknown = (np.stack(parts) for parts in zip(*crops, strict=True))
+        hole = np.stack([self._hole(rng) for _ in pictures]) | unknown
+        return Batch(
+            image=torch.from_numpy(colour).permute(0, 3, 1, 2).contiguous(),
+            hole=torch.from_numpy(hole)[:, None].float(),
+            teach=torch.from_numpy(~unknown)[:, None].float(),
+        )
+
+    def _crop(self, picture: KnownPicture, rng: np.random.Generator) -> tuple[Image, Mask]:
+        """(colour, unknown) of a random square, mirrored half the time; mostly unknown ones are drawn again."""
+        best: tuple[float, Image, Mask] | None = None
+        for _ in range(TRIES):
+            colour, unknown = self._square(picture, rng)
+            share = float(unknown.mean())
+            if best is None or share < best[0]:
+                best = (share, colour, unknown)
+            if share <= MOST_UNKNOWN:
+                break
+        assert best is not None  # noqa: S101 - TRIES is at least 1
+        return best[1], best[2]
+
+    def _square(self, picture: KnownPicture, rng: np.random.Generator) -> tuple[Image, Mask]:
+        height, width = picture.unknown.shape
+        short = min(height, width)
+        side = round(short * float(np.exp(rng.uniform(*np.log(np.maximum(self.share, 1e-3))))))
+        # Enlarging teaches blur: no smaller than the prior's own size where the frame allows.
+        side = min(short, max(side, self.size))
+        y, x = (int(rng.integers(extent - side + 1)) for extent in (height, width))
+        window = np.s_[y : y + side, x : x + side]
+        flip = np.s_[:, ::-1] if rng.random() < 0.5 else np.s_[:]
+        unknown = self._resized(picture.unknown[window].astype(np.float32)) > 0
+        colour = self._resized(picture.colour[window])
+        return np.ascontiguousarray(colour[flip]), np.ascontiguousarray(unknown[flip])
+
+    def _resized(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.asarray(cv2.resize(array, (self.size, self.size), interpolation=cv2.INTER_AREA), np.float32)
+
+    def _hole(self, rng: np.random.Generator) -> Mask:
+        shares = {"rectangles": self.mix.rectangles, "strokes": self.mix.strokes, "blobs": self.mix.blobs}
+        drawn = {kind: share for kind, share in shares.items() if share > 0}
+        if not drawn or (self.shapes and rng.random() < self.mix.own):
+            return self._moved_shape(rng)
+        total = sum(drawn.values())
+        return random_masks(1, self.size, rng, {kind: share / total for kind, share in drawn.items()})[0]
+
+    def _moved_shape(self, rng: np.random.Generator) -> Mask:
+        """The shape of one of the capture's masks, moved, a quarter to three quarters of the square large."""
+        shape = self.shapes[int(rng.integers(len(self.shapes)))]
+        scale = rng.uniform(0.25, 0.75) * self.size / max(shape.shape)
+        width, height = (max(1, round(scale * extent)) for extent in shape.shape[::-1])
+        small = cv2.resize(shape.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        canvas = np.zeros((3 * self.size, 3 * self.size), bool)
+        y, x = (int(rng.integers(self.size - extent // 2, 2 * self.size - extent // 2)) for extent in (height, width))
+        canvas[y : y + height, x : x + width] = small > 0
+        return canvas[self.size : 2 * self.size, self.size : 2 * self.size]
+
+
+def mask_shapes(pictures: Sequence[KnownPicture]) -> list[Mask]:
+    """The capture's masks, cut to their bounding boxes; masks of almost nothing or almost everything are left out."""
+    shapes = []
+    for picture in pictures:
+        if 0.001 < picture.hole.mean() < 0.7:
+            rows, columns = (np.flatnonzero(picture.hole.any(axis=axis)) for axis in (1, 0))
+            shapes.append(picture.hole[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
+    return shapes

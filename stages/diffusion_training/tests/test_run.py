@@ -1,0 +1,210 @@
+"""Real runs on the synthetic room, in a store, through the shim."""
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from inpaint3d.contracts.artifacts import (
+    DiffusionPrior,
+    ImageCorpus,
+    LensModel,
+    MaskSet,
+    MaskView,
+    PosedCapture,
+    Registration,
+)
+from inpaint3d.contracts.documents import load_yaml
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
+from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.shim import Invocation, execute
+from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.diffusion.io import load_prior
+from inpaint3d.scene.capture_io import write_points, write_view
+from inpaint3d.scene.image_io import write_mask, write_png
+from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+
+MODULE = "inpaint3d.stages.diffusion_training"
+TINY: dict[str, Any] = load_yaml(Path(__file__).parent / "tiny.yaml")[0]
+
+
+@pytest.fixture(scope="module")
+def room() -> SyntheticScene:
+    return synthetic_scene(views=6)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:
+    folder = store.private_folder()
+    frames = [
+        write_view(folder, name, image, camera, split="test" if i == 2 else "train")
+        for i, (name, image, camera) in enumerate(zip(room.names, images, room.cameras, strict=True))
+    ]
+    write_points(folder / "points.safetensors", room.points)
+    metadata = PosedCapture(
+        frames=tuple(frames),
+        ordered=True,
+        lens=LensModel(model="PINHOLE", params=(40.0, 40.0, 24.0, 18.0), evidence="synthetic"),
+        registration=Registration(
+            source="known",
+            given=len(frames),
+            registered=len(frames),
+            mean_reprojection_error_px=0.0,
+            points=len(room.points),
+            median_triangulation_angle_deg=20.0,
+        ),
+        source_from_normalised_scale=1.0,
+        source_from_normalised=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)),
+        centre_depth=0.9,
+        up_evidence="synthetic",
+    )
+    return store.put(folder, "posed-capture", metadata)
+
+
+def put_masks(store: Store, room: SyntheticScene, masks: np.ndarray) -> Digest:
+    folder, views = store.private_folder(), []
+    for name, mask in zip(room.names, masks, strict=True):
+        write_mask(folder / "masks" / f"{name}.png", mask)
+        views.append(MaskView(name=name, mask=f"masks/{name}.png", share=float(mask.mean())))
+    metadata = MaskSet(kind="per-view", task="inpaint", origin="imported", method="synthetic", views=tuple(views))
+    return store.put(folder, "mask-set", metadata)
+
+
+def put_corpus(store: Store, room: SyntheticScene) -> Digest:
+    folder, pictures = store.private_folder(), []
+    for name, image in zip(room.names, room.empty_images, strict=True):
+        write_png(folder / "images" / f"{name}.png", image)
+        pictures.append(ImageCorpus.Picture(name=name, path=f"images/{name}.png", scene="room", split="train"))
+    return store.put(folder, "image-corpus", ImageCorpus(pictures=tuple(pictures)))
+
+
+def train(
+    store: Store, inputs: Mapping[str, Digest], events: io.TextIOBase | None = None, **parameters: Any
+) -> Artifact[DiffusionPrior]:
+    invocation = Invocation(inputs=dict(inputs), parameters=TINY | parameters, threads=1)
+    record = execute(MODULE, store, invocation, events or io.StringIO())  # pyright: ignore[reportArgumentType]
+    return store.open(record.outputs["diffusion-prior"], DiffusionPrior)
+
+
+@pytest.fixture
+def inputs(store: Store, room: SyntheticScene) -> dict[str, Digest]:
+    return {
+        "posed-capture": put_posed(store, room, room.images),
+        "mask-set": put_masks(store, room, room.object_masks),
+    }
+
+
+def test_repainting_what_lies_under_the_masks_changes_no_byte(store, room, inputs) -> None:
+    marker = np.where(room.object_masks[..., None], np.float32([1, 0, 1]), room.images)
+    repainted = inputs | {"posed-capture": put_posed(store, room, marker)}
+    assert inputs["posed-capture"] != repainted["posed-capture"]
+    assert train(store, inputs).digest == train(store, repainted).digest
+
+
+def test_a_known_pixel_does_change_it(store, room, inputs) -> None:
+    """The leak test above could not fail if nothing were read at all."""
+    brighter = np.where(room.object_masks[..., None], room.images, np.clip(room.images + 0.1, 0, 1))
+    changed = inputs | {"posed-capture": put_posed(store, room, brighter)}
+    assert train(store, inputs).digest != train(store, changed).digest
+
+
+class _StopsAt(io.StringIO):
+    """An event stream whose reader hits Ctrl-C once a step is reached."""
+
+    def __init__(self, done: int) -> None:
+        super().__init__()
+        self.done = done
+
+    def write(self, text: str) -> int:
+        if f'"done": {self.done},' in text:
+            raise InterruptedRun("stopped by the test")
+        return super().write(text)
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(store, inputs, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(f"{MODULE}.run.CHECKPOINT_S", 0.0)
+    monkeypatch.setattr("inpaint3d.contracts.context.PROGRESS_INTERVAL_S", 0.0)
+    with pytest.raises(InterruptedRun):
+        train(store, inputs, _StopsAt(4))
+    events = io.StringIO()
+    resumed = train(store, inputs, events)
+    assert "going on from step 4" in events.getvalue()
+
+    elsewhere = Store(tmp_path / "elsewhere")
+    for digest in inputs.values():
+        elsewhere.adopt(store.object_path(digest), store.manifest(digest))
+    assert train(elsewhere, inputs).digest == resumed.digest
+
+
+def test_what_it_writes_can_be_queried_and_tells_how_it_went(store, inputs) -> None:
+    prior = train(store, inputs)
+    network = load_prior(prior.path(prior.metadata.weights), prior.metadata.spec)
+    assert sum(p.abs().sum().item() for p in network.network.head.parameters()) > 0
+    rows = list(csv.DictReader(prior.path("training_curve.csv").read_text().splitlines()))
+    assert [int(row["step"]) for row in rows] == [2, 4, 6]
+    assert all(float(row["loss"]) > 0 and float(row["held_out_loss"]) > 0 for row in rows)
+    assert {"hole_psnr_sample", "hole_psnr_expectation", "hole_psnr_telea"} <= set(prior.metadata.held_out)
+    assert prior.metadata.start == "scratch"
+    assert prior.metadata.trained_on.startswith("5 frames of the capture without the")
+    assert all(prior.path(sample).stat().st_size > 100 for sample in prior.metadata.samples)
+
+
+def test_learning_a_smooth_room_beats_not_having_learnt(store, room, inputs) -> None:
+    """The room's own texture is random, which nobody can guess; blurred, noise can be told from picture."""
+    smooth = np.stack([cv2.GaussianBlur(image, (0, 0), 3) for image in room.images])
+    inputs = inputs | {"posed-capture": put_posed(store, room, smooth)}
+    prior = train(store, inputs, steps=60, batch=4, exam=12, learning_rate=3e-3, ema=0.9, curve_rows=60)
+    rows = list(csv.DictReader(prior.path("training_curve.csv").read_text().splitlines()))
+    # The first row is after one step.
+    assert float(rows[-1]["held_out_loss"]) < 0.97 * float(rows[0]["held_out_loss"])
+
+
+def test_fine_tuning_starts_from_the_pretrained_prior(store, inputs) -> None:
+    first = train(store, inputs)
+    other_spec = TINY["prior"] | {"width": 16}
+    tuned = train(store, inputs | {"pretrained-prior": first.digest}, steps=0, prior=other_spec)
+    assert tuned.metadata.start == first.digest
+    assert tuned.metadata.spec == first.metadata.spec
+    # No step: the weights are the pretrained ones, and so are the figures.
+    assert tuned.path("weights.safetensors").read_bytes() == first.path("weights.safetensors").read_bytes()
+    figures = tuned.metadata.held_out
+    assert figures["start_hole_psnr_expectation"] == figures["hole_psnr_expectation"]
+
+
+def test_a_corpus_is_learnt_from_too(store, room, inputs) -> None:
+    alone = train(store, inputs)
+    both = train(store, inputs | {"image-corpus": put_corpus(store, room)})
+    assert both.metadata.trained_on.endswith("and 6 pictures of an image corpus")
+    assert both.path("weights.safetensors").read_bytes() != alone.path("weights.safetensors").read_bytes()
+
+
+def test_masks_over_nearly_everything_are_bad_input(store, room, inputs) -> None:
+    covered = inputs | {"mask-set": put_masks(store, room, np.ones_like(room.object_masks))}
+    with pytest.raises(BadInputError, match="none with half of its pixels known"):
+        train(store, covered)
+
+
+def test_a_frame_without_a_mask_is_bad_input(store, room, inputs) -> None:
+    folder = store.private_folder()
+    write_mask(folder / "masks" / "view_000.png", room.object_masks[0])
+    view = MaskView(name="view_000", mask="masks/view_000.png", share=0.1)
+    metadata = MaskSet(kind="per-view", task="inpaint", origin="imported", method="synthetic", views=(view,))
+    with pytest.raises(BadInputError, match="view_001 has no mask"):
+        train(store, inputs | {"mask-set": store.put(folder, "mask-set", metadata)})
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"masks": {"own": 0.9}}, {"t_range": [0.9, 0.1]}, {"crop_share": [0.5, 1.5]}, {"steps": -1}]
+)
+def test_parameters_that_make_no_sense_are_configuration_errors(store, inputs, wrong) -> None:
+    with pytest.raises(ConfigurationError):
+        train(store, inputs, **wrong)
