@@ -60,9 +60,12 @@ struct NetworkGrad {
 struct Kernels {
   const char* name;
   void (*hash_forward)(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
-  // Adds to table_grad.
+  // Overwrites the levels' entries of table_grad.
   void (*hash_backward)(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
                         int threads);
+  // The mean square of each level's numbers, and the gradient of their sum (overwrites the levels' entries).
+  void (*mean_squares)(const float* table, Grid grid, double* level_means, int threads);
+  void (*mean_squares_backward)(const float* table, Grid grid, double out_grad, float* table_grad, int threads);
   void (*mlp_forward)(const float* x, int64_t count, Network net, float* out, int threads);
   // x_grad may be null.
   void (*mlp_backward)(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad,

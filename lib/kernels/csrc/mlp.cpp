@@ -46,6 +46,14 @@ struct Layout {
     for (int i = 0; i < layer; ++i) at += width[i + 1] * padded(width[i]);
     return at;
   }
+  // A layer's weight gradients are summed as [out, padded in], or as [in, padded out] where that is smaller.
+  bool across(int layer) const { return width[layer] * padded(width[layer + 1]) < width[layer + 1] * padded(width[layer]); }
+  int64_t sums_at(int layer) const {
+    int64_t at = 0;
+    for (int i = 0; i < layer; ++i)
+      at += across(i) ? width[i] * padded(width[i + 1]) : width[i + 1] * padded(width[i]);
+    return at;
+  }
   int64_t bias_at(int layer) const {
     int64_t at = 0;
     for (int i = 0; i < layer; ++i) at += padded(width[i + 1]);
@@ -60,7 +68,7 @@ struct Layout {
 
 // Weights and biases with rows padded to whole vectors.
 struct Packed {
-  Buffer across, along, bias;
+  Buffer across, along, bias;  // [in, padded out]; [out, padded in]; [padded out]
   Packed(const Network& net, const Layout& at)
       : across(at.across_at(net.layers)), along(at.along_at(net.layers)), bias(at.bias_at(net.layers)) {
     for (int layer = 0; layer < net.layers; ++layer) {
@@ -91,10 +99,41 @@ inline void copy_rows(const float* from, int64_t from_row, float* to, int64_t to
   }
 }
 
+// The sum of each vector, in order.
+template <int count>
+inline Floats reduce(const Floats* rows) {
+  if constexpr (count == 2)
+    return pair_sums(rows[0], rows[1]);
+  else
+    return pair_sums(reduce<count / 2>(rows), reduce<count / 2>(rows + count / 2));
+}
+
+// A layer with one output, which a product would compute kLanes of: dot products. acts [rows, padded in]; writes
+// column 0 of [rows, kLanes].
+inline void run_single_output(const float* acts, const float* weights, float bias, int64_t rows, int64_t in,
+                              float* out) {
+  for (int64_t row = 0; row < rows; row += kLanes) {
+    Floats partial[kLanes];
+    for (int r = 0; r < kLanes; ++r) {
+      const float* at = acts + (row + r < rows ? row + r : rows - 1) * in;
+      partial[r] = load<Floats>(at) * load<Floats>(weights);
+      for (int64_t i = kLanes; i < in; i += kLanes) partial[r] += load<Floats>(at + i) * load<Floats>(weights + i);
+    }
+    const Floats sums = reduce<kLanes>(partial) + bias;
+    for (int r = 0; r < kLanes && row + r < rows; ++r) out[(row + r) * kLanes] = sums[r];
+  }
+}
+
 // Fills the activations behind the first `layers` layers.
 void run_layers(const Network& net, const Layout& at, const Packed& packed, int layers, const float* x, int64_t rows,
                 float* acts) {
   for (int layer = 0; layer < layers; ++layer) {
+    if (layer > 0 && layer + 1 == net.layers && net.width[layer + 1] == 1) {
+      run_single_output(acts + at.rows_at(layer), packed.along.data() + at.along_at(layer),
+                        packed.bias.data()[at.bias_at(layer)], rows, padded(net.width[layer]),
+                        acts + at.rows_at(layer + 1));
+      continue;
+    }
     Product p{};
     p.a = layer > 0 ? acts + at.rows_at(layer) : x;
     p.a_row = layer > 0 ? padded(net.width[layer]) : net.width[0];
@@ -109,7 +148,7 @@ void run_layers(const Network& net, const Layout& at, const Packed& packed, int 
   }
 }
 
-// Sums of a chunk: weight and bias gradients, laid out as Packed's.
+// Sums of a chunk of rows.
 struct Sums {
   float* weights;
   float* biases;
@@ -119,16 +158,17 @@ struct Sums {
 void layer_adjoint(const Network& net, const Layout& at, const Packed& packed, int layer, int64_t rows,
                    const float* acts, const float* grad, float* in_grad, Sums sums) {
   const int64_t in = padded(net.width[layer]), out = padded(net.width[layer + 1]);
+  const bool across = at.across(layer);
   Product w{};
-  w.a = grad;
+  w.a = across ? acts + at.rows_at(layer) : grad;
+  w.b = across ? grad : acts + at.rows_at(layer);
   w.a_row = 1;
-  w.a_step = out;
-  w.b = acts + at.rows_at(layer);
-  w.b_row = w.c_row = in;
+  w.a_step = across ? in : out;
+  w.b_row = w.c_row = across ? out : in;
   w.depth = rows;
-  w.c = sums.weights + at.along_at(layer);
+  w.c = sums.weights + at.sums_at(layer);
   w.add = true;
-  multiply(w, net.width[layer + 1], in);
+  multiply(w, net.width[across ? layer : layer + 1], w.c_row);
   if (net.biases) {
     float* bias = sums.biases + at.bias_at(layer);
     for (int64_t r = 0; r < rows; ++r)
@@ -173,13 +213,14 @@ void block_adjoint(const Network& net, const Layout& at, const Packed& packed, c
 
 void add_up(const Network& net, const Layout& at, const float* weights, const float* biases, int64_t chunks,
             NetworkGrad grad) {
-  const int64_t weight_count = at.along_at(net.layers), bias_count = at.bias_at(net.layers);
+  const int64_t weight_count = at.sums_at(net.layers), bias_count = at.bias_at(net.layers);
   for (int layer = 0; layer < net.layers; ++layer) {
     const int64_t in = net.width[layer], out = net.width[layer + 1];
     for (int64_t o = 0; o < out; ++o) {
       for (int64_t i = 0; i < in; ++i) {
         float sum = 0.0f;
-        for (int64_t c = 0; c < chunks; ++c) sum += weights[c * weight_count + at.along_at(layer) + o * padded(in) + i];
+        const int64_t place = at.sums_at(layer) + (at.across(layer) ? i * padded(out) + o : o * padded(in) + i);
+        for (int64_t c = 0; c < chunks; ++c) sum += weights[c * weight_count + place];
         grad.weights[layer][o * in + i] = sum;
       }
       if (!net.biases) continue;
@@ -216,11 +257,11 @@ void mlp_backward(const float* x, int64_t count, Network net, const float* out_g
   const int64_t even_share = (blocks + kMostChunks - 1) / kMostChunks;
   const int64_t share = even_share > kLeastChunk ? even_share : kLeastChunk;
   const int64_t chunks = (blocks + share - 1) / share, in = net.width[0], last = net.width[net.layers];
-  const Buffer weights(chunks * at.along_at(net.layers)), biases(chunks * at.bias_at(net.layers));
+  const Buffer weights(chunks * at.sums_at(net.layers)), biases(chunks * at.bias_at(net.layers));
   parallel_for(chunks, threads, [&](int64_t task) {
     const FlushDenormals flush;
     Scratch scratch(at);
-    const Sums sums{weights.data() + task * at.along_at(net.layers), biases.data() + task * at.bias_at(net.layers)};
+    const Sums sums{weights.data() + task * at.sums_at(net.layers), biases.data() + task * at.bias_at(net.layers)};
     const int64_t end = count < (task + 1) * share * kRows ? count : (task + 1) * share * kRows;
     for (int64_t row = task * share * kRows; row < end; row += kRows) {
       const int64_t rows = end - row < kRows ? end - row : kRows;

@@ -7,6 +7,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
+#include <numeric>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -83,6 +84,28 @@ void hash_backward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> out_grad, const 
   check_threads(threads);
   nb::gil_scoped_release release;
   run(points.data(), static_cast<int64_t>(points.shape(0)), out_grad.data(), grid, table_grad.data(), threads);
+}
+
+double mean_squares(In<nb::ndim<2>> table, const std::vector<LevelTuple>& levels, int threads) {
+  const auto laid_out = checked_levels(levels, static_cast<int64_t>(table.shape(0)));
+  const Grid grid = checked_grid(laid_out, table.shape(1), laid_out.size() * table.shape(1));
+  check_threads(threads);
+  const auto run = active().mean_squares;
+  std::vector<double> means(laid_out.size());
+  nb::gil_scoped_release release;
+  run(table.data(), grid, means.data(), threads);
+  return std::accumulate(means.begin(), means.end(), 0.0);
+}
+
+void mean_squares_backward(In<nb::ndim<2>> table, const std::vector<LevelTuple>& levels, double out_grad,
+                           Out<nb::ndim<2>> table_grad, int threads) {
+  const auto laid_out = checked_levels(levels, static_cast<int64_t>(table.shape(0)));
+  const Grid grid = checked_grid(laid_out, table.shape(1), laid_out.size() * table.shape(1));
+  require(table_grad.shape(0) == table.shape(0) && table_grad.shape(1) == table.shape(1), "table_grad must have the shape of table");
+  check_threads(threads);
+  const auto run = active().mean_squares_backward;
+  nb::gil_scoped_release release;
+  run(table.data(), grid, out_grad, table_grad.data(), threads);
 }
 
 // A network's arrays, checked, as the kernels take them.
@@ -236,6 +259,9 @@ NB_MODULE(_native, module) {
   module.def("hash_forward", &hash_forward, "points"_a.noconvert(), "table"_a.noconvert(), "levels"_a,
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("hash_backward", &hash_backward, "points"_a.noconvert(), "out_grad"_a.noconvert(), "levels"_a,
+             "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("mean_squares", &mean_squares, "table"_a.noconvert(), "levels"_a, nb::kw_only(), "threads"_a = 1);
+  module.def("mean_squares_backward", &mean_squares_backward, "table"_a.noconvert(), "levels"_a, "out_grad"_a,
              "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("mlp_forward", &mlp_forward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out"_a.noconvert(),
              nb::kw_only(), "threads"_a = 1);

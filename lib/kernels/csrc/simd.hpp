@@ -54,6 +54,22 @@ inline Floats splat(float value) { return value - Floats{}; }
 inline Floats lower(Floats a, Floats b) { return a < b ? a : b; }
 inline Floats upper(Floats a, Floats b) { return a > b ? a : b; }
 
+// Sums of neighbours: the first half of the result comes from a, the second from b.
+inline Floats pair_sums(Floats a, Floats b) {
+#if defined(__clang__)
+  Floats sums;
+  for (int i = 0; i < kLanes / 2; ++i) {
+    sums[i] = a[2 * i] + a[2 * i + 1];
+    sums[i + kLanes / 2] = b[2 * i] + b[2 * i + 1];
+  }
+  return sums;
+#else
+  Ints even;
+  for (int i = 0; i < kLanes; ++i) even[i] = 2 * i;
+  return __builtin_shuffle(a, b, even) + __builtin_shuffle(a, b, even + 1);
+#endif
+}
+
 // Treats denormal numbers as zero for its lifetime: Adam's moments decay into them, and each costs 100 cycles.
 class FlushDenormals {
  public:

@@ -57,9 +57,9 @@ def test_forward_and_backward_follow_the_definition(isa, channels, count):
     np.testing.assert_allclose(out, encode(points, table, HASHED), atol=3e-5)
 
     out_grad = rng.standard_normal(out.shape).astype(np.float32)
-    grad = np.ones_like(table)
+    grad = np.full_like(table, np.nan)
     kernels.hash_backward(points, out_grad, HASHED, grad)
-    np.testing.assert_allclose(grad - 1, table_gradient(points, out_grad, HASHED, table.shape), atol=1e-4)
+    np.testing.assert_allclose(grad, table_gradient(points, out_grad, HASHED, table.shape), atol=1e-4)
 
 
 def test_bits_do_not_depend_on_threads(isa):
@@ -75,6 +75,23 @@ def test_bits_do_not_depend_on_threads(isa):
         kernels.hash_backward(points, out_grad, HASHED, grads[-1], threads=threads)
     assert all(np.array_equal(outs[0], other) for other in outs[1:])
     assert all(np.array_equal(grads[0], other) for other in grads[1:])
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_mean_squares_and_their_gradient(isa, channels):
+    rng = np.random.default_rng(0)
+    levels = [(40, 0, 68921, True), (99, 68925, 256, False)]
+    table = (1e-3 * rng.standard_normal((69200, channels))).astype(np.float32)
+    parts = [slice(0, 68921), slice(68925, 68925 + 256)]
+    exact = sum(np.mean(np.square(table[part], dtype=np.float64)) for part in parts)
+    assert kernels.mean_squares(table, levels) == pytest.approx(exact, rel=1e-6)
+    assert kernels.mean_squares(table, levels, threads=2) == kernels.mean_squares(table, levels)
+    grad = np.full_like(table, 7)
+    kernels.mean_squares_backward(table, levels, 3.0, grad, threads=2)
+    truth = np.full(table.shape, 7.0)
+    for part in parts:
+        truth[part] = 3.0 * 2 * table[part] / table[part].size
+    np.testing.assert_allclose(grad, truth, rtol=1e-6)
 
 
 def test_points_outside_extrapolate_the_border_cell_and_nan_shows(isa):

@@ -101,6 +101,17 @@ def test_hash_encode_in_float64_is_the_reference():
     assert torch.equal(native.hash_encode(points, table, levels), reference.hash_encode(points, table, levels))
 
 
+@pytest.mark.parametrize("first", [0, 1])  # 1: the table has entries of no level
+def test_mean_squares_equal_the_reference(isa, threads, first):
+    levels = levels_of(4, 4, 61, 15)
+    table = 1e-3 * normal(levels[-1].offset + levels[-1].size, 2)
+    weight = torch.tensor(0.1)
+    outs, grads = gradients(lambda table: native.mean_squares(table, levels[first:]), [table], [weight])
+    truths, exact = gradients(lambda table: reference.mean_squares(table, levels[first:]), [table.double()], [weight])
+    torch.testing.assert_close(outs[0], truths[0].float())
+    torch.testing.assert_close(grads[0], exact[0].float())
+
+
 def network(*widths, bias):
     weights = [normal(o, i, seed=o) / i**0.5 for i, o in itertools.pairwise(widths)]
     return weights, [normal(o, seed=o) for o in widths[1:]] if bias else None

@@ -21,7 +21,18 @@ def hash_forward(points: Array, table: Array, levels: Sequence[Level], out: Arra
 def hash_backward(
     points: Array, out_grad: Array, levels: Sequence[Level], table_grad: Array, *, threads: int = 1
 ) -> None:
-    """Add the gradient of hash_forward's table, given out_grad [n, levels * c], to table_grad [entries, c]."""
+    """Write the gradient of hash_forward's table, given out_grad [n, levels * c], to table_grad [entries, c].
+
+    Entries of no level keep what they hold.
+    """
+
+def mean_squares(table: Array, levels: Sequence[Level], *, threads: int = 1) -> float:
+    """Sum over the levels of the mean square of their numbers in table [entries, c]."""
+
+def mean_squares_backward(
+    table: Array, levels: Sequence[Level], out_grad: float, table_grad: Array, *, threads: int = 1
+) -> None:
+    """Write out_grad times the gradient of mean_squares to table_grad [entries, c]; no level's entries keep theirs."""
 
 def mlp_forward(x: Array, weights: Sequence[Array], biases: Sequence[Array], out: Array, *, threads: int = 1) -> None:
     """Write the network's output for x [n, i] to out [n, o]: weights [out, in], ReLU between layers, the last linear.

@@ -81,8 +81,6 @@ def depth_smoothness_loss(
 
 def hash_decay(field: RadianceField) -> Float[Tensor, ""]:
     """Sum over the levels of both grids of the mean square of their entries (Zip-NeRF, arXiv:2304.06706; N9)."""
-    total = field.base.table.new_zeros(())
-    for network in (field.proposal, field.base):
-        for part in network.table.split([level.size for level in network.levels]):
-            total = total + part.square().mean()
-    return total
+    base, proposal = field.base, field.proposal
+    mean_squares = field.backend.mean_squares
+    return mean_squares(proposal.table, proposal.levels) + mean_squares(base.table, base.levels)

@@ -17,7 +17,7 @@ from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
 
-__all__ = ["adam_step", "composite", "hash_encode", "mlp", "resample"]
+__all__ = ["adam_step", "composite", "hash_encode", "mean_squares", "mlp", "resample"]
 
 
 def supported(*tensors: Tensor) -> bool:
@@ -42,7 +42,7 @@ class _HashEncode(torch.autograd.Function):
     ) -> tuple[None, Tensor, None]:
         (points,) = ctx.saved_tensors
         (out_grad,) = grad_outputs
-        table_grad = out_grad.new_zeros(ctx.shape)
+        table_grad = _gradient_of(ctx.shape, ctx.levels, out_grad)
         kernels.hash_backward(
             points.numpy(),
             out_grad.contiguous().numpy(),
@@ -61,6 +61,41 @@ def hash_encode(
     if wants_points or table.shape[1] > 8 or not supported(points, table):
         return reference.hash_encode(points, table, levels)
     return _HashEncode.apply(points.detach(), table, levels)
+
+
+def _gradient_of(shape: torch.Size, levels: Sequence[Level], like: Tensor) -> Tensor:
+    """Memory for a table's gradient; zero where no level will write."""
+    if sum(level.size for level in levels) == shape[0]:
+        return like.new_empty(shape)
+    return like.new_zeros(shape)
+
+
+class _MeanSquares(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, levels: Sequence[Level]) -> Tensor:
+        table = table.contiguous()
+        ctx.save_for_backward(table)
+        ctx.levels = levels
+        return table.new_tensor(kernels.mean_squares(table.numpy(), levels, threads=torch.get_num_threads()))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor, None]:
+        (table,) = ctx.saved_tensors
+        table_grad = _gradient_of(table.shape, ctx.levels, table)
+        kernels.mean_squares_backward(
+            table.numpy(), ctx.levels, float(grad_outputs[0]), table_grad.numpy(), threads=torch.get_num_threads()
+        )
+        return table_grad, None
+
+
+def mean_squares(table: Float[Tensor, "entries c"], levels: Sequence[Level]) -> Float[Tensor, ""]:
+    """`reference.mean_squares`."""
+    if table.shape[1] > 8 or not supported(table):
+        return reference.mean_squares(table, levels)
+    return _MeanSquares.apply(table, levels)
 
 
 class _Mlp(torch.autograd.Function):

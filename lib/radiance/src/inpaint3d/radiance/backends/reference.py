@@ -56,6 +56,12 @@ def hash_encode(
     return torch.cat(features).T
 
 
+def mean_squares(table: Float[Tensor, "entries c"], levels: Sequence[Level]) -> Float[Tensor, ""]:
+    """Sum over the levels of the mean square of their entries: the weight decay of a grid (conformance N9)."""
+    parts = [table[level.offset : level.offset + level.size] for level in levels]
+    return torch.stack([part.square().mean() for part in parts]).sum()
+
+
 def mlp(
     x: Float[Tensor, "n i"],
     weights: Sequence[Float[Tensor, "_ _"]],
