@@ -72,7 +72,7 @@ class Camera:
     def pixel_centres(self) -> Floats:
         """Every pixel's centre, [h, w, 2]."""
         x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
-        return np.stack([x, y], -1)
+        return np.stack([x, y], -1).astype(np.float64)
 
     def rays(self, xy: ArrayLike | None = None) -> tuple[Floats, Floats]:
         """Origins and unit directions of the rays through `xy` [*n, 2] (default: pixel centres [h, w, 2])."""

@@ -66,7 +66,8 @@ def rotation_between(a: ArrayLike, b: ArrayLike) -> Floats:
     if cosine < -1 + 1e-12:  # opposite: any axis across `a` will do
         axis = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
         axis /= np.linalg.norm(axis)
-        return 2 * np.outer(axis, axis) - np.eye(3)
+        half_turn = 2 * axis[:, None] * axis - np.eye(3)
+        return np.asarray(half_turn, np.float64)
     v = np.cross(a, b)
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + cross + cross @ cross / (1 + cosine)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.contracts.errors import BadInputError, StorageError
@@ -31,7 +31,7 @@ class Header:
     is_float: bool
     orientation: int
     format: str
-    exif: dict[str, float | str]
+    exif: dict[str, int | float | str]
 
     @property
     def upright_size(self) -> tuple[int, int]:

@@ -73,7 +73,7 @@ def sample_bilinear(image: ArrayLike, xy: ArrayLike) -> NDArray[np.float32]:
     wx, wy = (x - x0)[..., None].astype(np.float32), (y - y0)[..., None].astype(np.float32)
     top = image[y0, x0] * (1 - wx) + image[y0, x1] * wx
     bottom = image[y1, x0] * (1 - wx) + image[y1, x1] * wx
-    return top * (1 - wy) + bottom * wy
+    return (top * (1 - wy) + bottom * wy).astype(np.float32)
 
 
 def sparse_depth(camera: Camera, xyz: ArrayLike) -> Floats:

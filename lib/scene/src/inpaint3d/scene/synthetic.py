@@ -49,18 +49,17 @@ def synthetic_scene(
 ) -> SyntheticScene:
     """Views along an arc round the ball; the same arguments give the same bytes."""
     cameras = arc_cameras(views, width, height, arc_deg)
-    full = [_render(c, seed, ball=True) for c in cameras]
-    empty = [_render(c, seed, ball=False) for c in cameras]
-    images = np.stack([r[0] for r in full])
+    rendered = [_render(c, seed) for c in cameras]
+    pictures, full, empty, masks = (np.stack(part) for part in zip(*rendered, strict=True))
     return SyntheticScene(
         names=[f"view_{i:03d}" for i in range(views)],
         cameras=cameras,
-        images=images,
-        depths=np.stack([r[1] for r in full]),
-        object_masks=np.stack([r[2] for r in full]),
-        empty_images=np.stack([r[0] for r in empty]),
-        empty_depths=np.stack([r[1] for r in empty]),
-        points=_sparse_points(cameras, images, points, seed),
+        images=pictures[:, 0],
+        depths=full,
+        object_masks=masks,
+        empty_images=pictures[:, 1],
+        empty_depths=empty,
+        points=_sparse_points(cameras, pictures[:, 0], points, seed),
     )
 
 
@@ -107,39 +106,39 @@ def shade(points: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
     return np.clip(_TINT[surface] * light[..., None] + 1.1 * (texture - 0.5), 0.0, 1.0)
 
 
-def _render(camera: Camera, seed: int, *, ball: bool) -> tuple[NDArray[np.float32], Floats, NDArray[np.bool_]]:
-    """Picture (mean of 2x2 samples a pixel), and depth and mask at pixel centres."""
+def _render(camera: Camera, seed: int) -> tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_]]:
+    """Pictures [2, h, w, 3] with and without the ball (means of 2x2 samples), depths [2, h, w] and mask [h, w]."""
     xy = camera.pixel_centres()
-    colour = np.zeros((camera.height, camera.width, 3))
+    colour = np.zeros((2, camera.height, camera.width, 3))
     for dx, dy in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
-        origins, directions = camera.rays(xy + (dx, dy))
-        distance, surface = cast(origins, directions, ball=ball)
-        colour += shade(origins + distance[..., None] * directions, surface, seed) / 4
+        origins, directions = camera.rays(xy + np.array([dx, dy]))
+        distance, surface = cast(origins, directions, ball=False)
+        room = shade(origins + distance[..., None] * directions, surface, seed)
+        distance, surface = cast(origins, directions, ball=True)
+        on_ball = surface == _BALL
+        points = origins[on_ball] + distance[on_ball, None] * directions[on_ball]
+        colour[1] += room / 4
+        room[on_ball] = shade(points, surface[on_ball], seed)
+        colour[0] += room / 4
     origins, directions = camera.rays()
-    distance, surface = cast(origins, directions, ball=ball)
-    return colour.astype(np.float32), distance * (directions @ camera.forward), surface == _BALL
+    (full, surface), (empty, _) = (cast(origins, directions, ball=b) for b in (True, False))
+    along = directions @ camera.forward
+    return colour.astype(np.float32), full * along, empty * along, surface == _BALL
 
 
 def _value_noise(uv: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
-    """Random colours at whole coordinates, smoothly in between; [*n, 3] in [0, 1]."""
+    """Random colours at whole coordinates, smoothly in between; [*n, 3] in [0, 1]. Repeats every 256 cells."""
+    lattice = np.random.default_rng(seed).random((256, 256, 3))
     cell = np.floor(uv).astype(np.int64)
     f = uv - cell
-    f = (f * f * (3 - 2 * f))[..., None, :]
-    corner = [_hash(cell[..., 0] + i, cell[..., 1] + j, surface, seed) for j in (0, 1) for i in (0, 1)]
-    low = corner[0] * (1 - f[..., 0]) + corner[1] * f[..., 0]
-    high = corner[2] * (1 - f[..., 0]) + corner[3] * f[..., 0]
-    return low * (1 - f[..., 1]) + high * f[..., 1]
-
-
-def _hash(i: NDArray[np.int64], j: NDArray[np.int64], surface: NDArray[np.int64], seed: int) -> Floats:
-    """A repeatable random colour for whole numbers: [*n, 3] in [0, 1) (mixing steps of splitmix64)."""
-    x = (i.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)) ^ (j.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F))
-    x ^= (surface.astype(np.uint64) + np.uint64(16 * seed + 1)) * np.uint64(0x165667B19E3779F9)
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    x ^= x >> np.uint64(31)
-    parts = np.stack([(x >> np.uint64(shift)) & np.uint64(0x1FFFFF) for shift in (0, 21, 42)], -1)
-    return parts.astype(np.float64) / 2**21
+    f = f * f * (3 - 2 * f)
+    # Each surface reads its own part of the lattice.
+    column, row = (cell[..., 0] + 37 * surface) & 255, (cell[..., 1] + 91 * surface) & 255
+    u, v = f[..., :1], f[..., 1:]
+    low = lattice[row, column] * (1 - u) + lattice[row, (column + 1) & 255] * u
+    row = (row + 1) & 255
+    high = lattice[row, column] * (1 - u) + lattice[row, (column + 1) & 255] * u
+    return low * (1 - v) + high * v
 
 
 def _sparse_points(cameras: list[Camera], images: NDArray[np.float32], count: int, seed: int) -> SparsePoints:

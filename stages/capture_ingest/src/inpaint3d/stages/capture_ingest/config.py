@@ -1,0 +1,23 @@
+"""Parameters of capture-ingest; defaults are the `standard` preset."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed
+
+Layout = Literal["photos", "video", "colmap", "nerfstudio", "llff", "spin-nerf"]
+
+
+class Config(Closed):
+    """How a source is read."""
+
+    layout: Literal["auto"] | Layout = Field(
+        default="auto", description="what the source is; auto: told by the files in it"
+    )
+    video_frames: Annotated[int, Field(ge=2, le=2000)] = Field(
+        default=60, description="frames taken from a video: the sharpest of as many equal stretches"
+    )
+    spin_nerf_truth: Annotated[int, Field(ge=0)] = Field(
+        default=40, description="first files of the SPIn-NeRF layout, which show the scene without the object"
+    )

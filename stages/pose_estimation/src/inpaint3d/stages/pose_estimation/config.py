@@ -1,0 +1,45 @@
+"""Parameters of pose estimation; defaults are the `standard` preset."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, Positive, Share
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class Config(Closed):
+    """How cameras are found, and what the gate asks of them."""
+
+    cameras: Literal["auto", "known", "estimate"] = Field(
+        default="auto", description="auto: cameras that came with every frame are kept, else they are estimated"
+    )
+    lens: Literal["auto", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
+        default="auto", description="camera model to estimate; auto: the simplest that the reprojection errors support"
+    )
+    feature_longest_side: Annotated[int, Field(ge=64)] = Field(
+        default=640, description="pixels; pictures are reduced to this before features are looked for"
+    )
+    features: Annotated[int, Field(ge=64)] = Field(default=4096, description="features per picture, at most")
+    matching: Literal["auto", "exhaustive", "sequential"] = Field(
+        default="auto", description="auto: sequential for ordered captures of more than `exhaustive_up_to` frames"
+    )
+    exhaustive_up_to: Count = Field(default=25, description="frames; ordered captures up to this many match all pairs")
+    overlap: Count = Field(default=10, description="frames; how far ahead sequential matching looks")
+    output_longest_side: Annotated[int, Field(ge=16)] = Field(
+        default=480, description="pixels; undistorted frames are at most this long (never enlarged)"
+    )
+    test_every: Annotated[int, Field(ge=0)] = Field(
+        default=8, description="every so many frames one is held out, from the first; 0: none"
+    )
+    keep_test_from: Count = Field(default=6, description="frames; captures of fewer hold none out")
+    least_registered_share: Share = Field(default=0.6, description="share of the frames that must be registered")
+    least_registered: Annotated[int, Field(ge=2)] = Field(default=3, description="frames that must be registered")
+    least_angle_deg: Annotated[float, Field(ge=0)] = Field(
+        default=1.5, description="degrees; median triangulation angle below which depth cannot be told"
+    )
+    least_points: Count = Field(default=20, description="sparse points that must be found")
+    largest_error_px: Positive = Field(
+        default=4.0, description="pixels at the captured size per 1000 of its longest side; mean reprojection error"
+    )
