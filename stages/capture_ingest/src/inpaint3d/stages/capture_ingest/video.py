@@ -1,5 +1,6 @@
 """A video: the sharpest frame of each of evenly spaced stretches."""
 
+import itertools
 from pathlib import Path
 
 import cv2
@@ -20,7 +21,7 @@ def find(path: Path, count: int, folder: Path) -> Found:
             f"{path.name} has {len(sharpness)} frames that can be decoded; give a video of a walk around"
         )
     edges = [round(i * len(sharpness) / min(count, len(sharpness))) for i in range(min(count, len(sharpness)) + 1)]
-    chosen = {max(range(a, b), key=sharpness.__getitem__) for a, b in zip(edges[:-1], edges[1:], strict=True)}
+    chosen = {max(range(a, b), key=sharpness.__getitem__) for a, b in itertools.pairwise(edges)}
     frames: list[FoundFrame] = []
     for index, picture in _frames(path):
         if index in chosen:

@@ -1,0 +1,186 @@
+"""Every layout, written as its tool writes it, gives the cameras and pictures that it was made from."""
+
+import json
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.scene.image_io import read_header, read_image, write_mask, write_png
+from inpaint3d.scene.synthetic import synthetic_scene
+from inpaint3d.stages.capture_ingest.config import Config
+from inpaint3d.stages.capture_ingest.found import Found
+from inpaint3d.stages.capture_ingest.run import detect, find, fitted_mask, read_exif
+
+SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
+
+
+def pictures(folder: Path, names=SCENE.names, images=SCENE.images) -> None:
+    for name, image in zip(names, images, strict=True):
+        write_png(folder / f"{name}.png", image)
+
+
+def found_in(folder: Path, tmp_path: Path, **options) -> Found:
+    return find(folder, Config(**options), tmp_path / "work")
+
+
+def assert_cameras(found: Found) -> None:
+    assert [f.name for f in found.frames] == SCENE.names
+    for frame, camera in zip(found.frames, SCENE.cameras, strict=True):
+        np.testing.assert_allclose(frame.camera.world_from_cam, camera.world_from_cam, atol=1e-9)
+        focal = frame.camera.params[0]
+        assert focal == pytest.approx(camera.fx)
+
+
+def test_photos_with_masks_and_truth(tmp_path):
+    pictures(tmp_path / "images")
+    pictures(tmp_path / "truth", ["t1", "t2"], SCENE.empty_images[:2])
+    write_mask(tmp_path / "masks" / "view_001.png", SCENE.object_masks[1])
+    found = found_in(tmp_path, tmp_path)
+    assert detect(tmp_path) == "photos"
+    assert [f.name for f in found.frames] == SCENE.names
+    assert [f.mask is not None for f in found.frames] == [False, True, False, False]
+    assert [f.name for f in found.truth] == ["t1", "t2"]
+    assert found.ordered
+
+
+def test_nerfstudio(tmp_path):
+    pictures(tmp_path / "images")
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    frames = [
+        {
+            "file_path": f"images/{n}.png",
+            "transform_matrix": (np.vstack([c.world_from_cam, [0, 0, 0, 1]]) @ flip).tolist(),
+        }
+        for n, c in zip(SCENE.names, SCENE.cameras, strict=True)
+    ]
+    frames.append({"file_path": "images/gone.png", "transform_matrix": np.eye(4).tolist()})
+    camera = SCENE.cameras[0]
+    # The file speaks of pictures twice as large.
+    intrinsics = {"w": 64, "h": 48, "fl_x": 2 * camera.fx, "fl_y": 2 * camera.fy, "cx": 32, "cy": 24, "k1": 0.01}
+    (tmp_path / "transforms.json").write_text(json.dumps({**intrinsics, "frames": frames}))
+    found = found_in(tmp_path, tmp_path)
+    assert_cameras(found)
+    assert found.frames[0].camera.model == "OPENCV"
+    assert found.frames[0].camera.params[4] == 0.01
+    assert "5 frames, 1 of them" in found.notes[0]
+
+
+def llff_rows(cameras) -> np.ndarray:
+    rows = []
+    for camera in cameras:
+        r, d, f = camera.world_from_cam[:, 0], camera.world_from_cam[:, 1], camera.world_from_cam[:, 2]
+        # LLFF speaks of the photographs at four times the size.
+        columns = [d, r, -f, camera.centre, [4 * camera.height, 4 * camera.width, 4 * camera.fx]]
+        rows.append([*np.stack(columns, 1).ravel(), 0.1, 10.0])
+    return np.array(rows)
+
+
+def test_llff(tmp_path):
+    pictures(tmp_path / "images")
+    np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras))
+    assert detect(tmp_path) == "llff"
+    assert_cameras(found_in(tmp_path, tmp_path))
+    np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras)[:3])
+    with pytest.raises(BadInputError, match="3 cameras for 4 pictures"):
+        found_in(tmp_path, tmp_path)
+
+
+def test_spin_nerf(tmp_path):
+    pictures(tmp_path / "images_4", ["a0", "a1"], SCENE.empty_images[:2])
+    pictures(tmp_path / "images_4", SCENE.names)
+    for name, mask in zip(SCENE.names, SCENE.object_masks, strict=True):
+        write_mask(tmp_path / "images_4" / "label" / f"{name}.png", mask)
+    write_mask(tmp_path / "images_4" / "test_label" / "a0.png", SCENE.object_masks[0])
+    np.save(tmp_path / "poses_bounds.npy", llff_rows([*SCENE.cameras[:2], *SCENE.cameras]))
+    found = found_in(tmp_path, tmp_path, spin_nerf_truth=2)
+    assert found.layout == "spin-nerf"
+    assert_cameras(found)
+    assert all(f.mask is not None for f in found.frames)
+    assert [f.name for f in found.truth] == ["a0", "a1"]
+    with pytest.raises(BadInputError, match="spin_nerf_truth"):
+        found_in(tmp_path, tmp_path)
+
+
+def colmap_pose(camera) -> tuple[list[float], list[float]]:
+    rotation = camera.rotation.T
+    w = np.sqrt(1 + np.trace(rotation)) / 2
+    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    return [w, *(axis / (4 * w))], list(-rotation @ camera.centre)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_colmap(tmp_path, binary):
+    pictures(tmp_path / "images")
+    model = tmp_path / "sparse" / "0"
+    model.mkdir(parents=True)
+    f = SCENE.cameras[0].fx
+    poses = [colmap_pose(c) for c in SCENE.cameras]
+    if binary:
+        (model / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 7, 2, 32, 24, f, 16, 12, 0.05))
+        body = struct.pack("<Q", 4)
+        for i, (name, (q, t)) in enumerate(zip(SCENE.names, poses, strict=True)):
+            body += struct.pack("<i7di", i, *q, *t, 7) + f"{name}.png".encode() + b"\0"
+            body += struct.pack("<Qddq", 1, 1.0, 2.0, -1)
+        (model / "images.bin").write_bytes(body)
+    else:
+        (model / "cameras.txt").write_text(f"# comment\n7 SIMPLE_RADIAL 32 24 {f!r} 16 12 0.05\n")
+        rows = ["# comment"]
+        for i, (name, (q, t)) in enumerate(zip(SCENE.names, poses, strict=True)):
+            rows += [
+                " ".join(map(repr, map(float, [*q, *t]))).join([f"{i} ", f" 7 {name}.png"]),
+                "" if i == 0 else "1 2 -1",
+            ]
+        (model / "images.txt").write_text("\n".join(rows) + "\n")
+    found = found_in(tmp_path, tmp_path)
+    assert found.layout == "colmap"
+    assert_cameras(found)
+    assert found.frames[0].camera.params == (f, 16, 12, 0.05)
+
+
+def test_video_takes_the_sharpest_of_each_stretch(tmp_path):
+    rng = np.random.default_rng(0)
+    sharp = (rng.random((48, 64, 3)) * 255).astype(np.uint8)
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
+    for i in range(12):
+        writer.write(sharp if i % 4 == 2 else cv2.GaussianBlur(sharp, (0, 0), 3))
+    writer.release()
+    found = found_in(tmp_path, tmp_path, video_frames=3)
+    assert [f.name for f in found.frames] == ["frame_000002", "frame_000006", "frame_000010"]
+    assert read_image(found.frames[0].image).shape == (48, 64, 3)
+
+
+def test_mask_of_half_the_size_is_resampled_and_another_aspect_refused(tmp_path):
+    write_mask(tmp_path / "m.png", SCENE.object_masks[0])
+    assert fitted_mask(tmp_path / "m.png", 64, 48).mean() == pytest.approx(SCENE.object_masks[0].mean())
+    with pytest.raises(BadInputError, match=r"m\.png is 32x24 but its picture is 32x32"):
+        fitted_mask(tmp_path / "m.png", 32, 32)
+
+
+def test_mask_without_a_picture_and_twin_names(tmp_path):
+    pictures(tmp_path / "images")
+    write_mask(tmp_path / "masks" / "nobody.png", SCENE.object_masks[0])
+    with pytest.raises(BadInputError, match=r"nobody\.png has no picture"):
+        found_in(tmp_path, tmp_path)
+    (tmp_path / "images" / "view_000.jpg").write_bytes(b"x")
+    with pytest.raises(BadInputError, match="same name"):
+        found_in(tmp_path, tmp_path)
+
+
+def test_exif_focal_is_in_pixels(tmp_path):
+    import OpenImageIO as oiio  # noqa: N813
+
+    spec = oiio.ImageSpec(60, 40, 3, "uint8")
+    for name, value in (("Exif:FocalLengthIn35mmFilm", 24), ("ExposureTime", 0.02), ("FNumber", 1.8), ("Make", "M")):
+        spec.attribute(name, value)
+    out = oiio.ImageOutput.create(str(tmp_path / "a.jpg"))
+    out.open(str(tmp_path / "a.jpg"), spec)
+    out.write_image(np.zeros((40, 60, 3), np.uint8))
+    out.close()
+    exif = read_exif(read_header(tmp_path / "a.jpg"), 60, 40)
+    assert exif.focal_px == pytest.approx(40.0)
+    assert exif.exposure_s == pytest.approx(0.02, rel=1e-3)  # EXIF keeps a ratio of integers
+    assert exif.camera == "M"
