@@ -29,9 +29,11 @@ def step_terms(
     config: Config,
     *,
     anneal: float,
-    generator: torch.Generator,
+    generator: torch.Generator | None,
 ) -> Terms:
     """The weighted terms; their sum is what the step descends. `weight` is that of distillation at this step (S6).
+
+    generator jitters the samples along rays; None centres them.
 
     Reconstruction sees known pixels alone (L2). The regularisers see every ray of the step, masked ones and those of
     the distilled hole too (L7): their means are over all of them. A term of weight 0 is not computed.
