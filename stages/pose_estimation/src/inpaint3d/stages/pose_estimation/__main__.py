@@ -1,5 +1,6 @@
-"""python -m inpaint3d.stages.pose_estimation: see `inpaint3d.contracts.shim`."""
+"""Read artifacts -> run() -> write artifacts; the shim does the rest."""
 
 from inpaint3d.contracts.shim import serve
 
-serve("inpaint3d.stages.pose_estimation")
+if __name__ == "__main__":
+    serve("inpaint3d.stages.pose_estimation")

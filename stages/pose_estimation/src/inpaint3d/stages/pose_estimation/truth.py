@@ -1,0 +1,123 @@
+"""Truth views against the fixed model: their poses alone are found; they triangulate nothing and move nothing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import CapturedFrame
+from inpaint3d.contracts.context import Context
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, match
+from inpaint3d.stages.pose_estimation.model import Model, significant
+
+Floats = NDArray[np.float64]
+
+LEAST_INLIERS = 12
+LARGEST_ERROR_SHARE = 0.008  # of the longest side, for a match to count
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A truth view's pose [3, 4] in the model's world, its lens, and its mean reprojection error (captured px)."""
+
+    world_from_cam: Floats
+    lens: int
+    error_px: float
+
+
+def lens_for(frame: CapturedFrame, model: Model) -> int:
+    """The number of the capture's lens that took a truth frame: that of its size."""
+    for number in sorted(set(model.view_lens), key=model.view_lens.count, reverse=True):
+        lens = model.lenses[number]
+        if (lens.width, lens.height) == (frame.width, frame.height):
+            return number
+    sizes = sorted({f"{c.width}x{c.height}" for c in model.lenses.values()})
+    raise BadInputError(
+        f"truth view {frame.name} is {frame.width}x{frame.height} but the capture's frames are {', '.join(sizes)}; "
+        "give truth views as the same camera took them"
+    )
+
+
+def register(
+    frames: Sequence[CapturedFrame],
+    paths: dict[str, str],
+    model: Model,
+    database: Path,
+    folder: Path,
+    config: Config,
+    ctx: Context,
+) -> dict[str, Registered]:
+    """Poses of the truth views that can be placed, by name. `paths`: frame name -> path below `folder`."""
+    groups: dict[int, list[str]] = {}
+    for frame in frames:
+        groups.setdefault(lens_for(frame, model), []).append(paths[frame.name])
+    own = database.with_name("truth.db")
+    create_database(own, [], copy_of=database)
+    add_pictures(own, folder, groups, config, ctx)
+    step = max(1, -(-len(model.names) // config.truth_partners))
+    partners = model.names[::step]
+    match(own, [(paths[f.name], partner) for f in frames for partner in partners], ctx)
+    points_of = _points_by_feature(model, database)
+    placed: dict[str, Registered] = {}
+    with pycolmap.Database.open(own) as db:
+        for frame in frames:
+            xy, xyz = _correspondences(db, paths[frame.name], partners, points_of, model)
+            found = _pose(xy, xyz, model.lenses[lens_for(frame, model)], ctx.seed)
+            if found is not None:
+                placed[frame.name] = Registered(found[0], lens_for(frame, model), found[1])
+    return placed
+
+
+def _points_by_feature(model: Model, database: Path) -> dict[str, NDArray[np.int64]]:
+    """For each view, the point of each of its features, or -1; features are known by where they are."""
+    found: dict[str, NDArray[np.int64]] = {}
+    points = model.track_point
+    with pycolmap.Database.open(database) as db:
+        for view, name in enumerate(model.names):
+            xy = db.read_keypoints(db.read_image_with_name(name).image_id)[:, :2].astype(np.float64)
+            rows = np.flatnonzero(model.track_view == view)
+            where = {
+                tuple(p): point for p, point in zip(model.track_xy[rows].tolist(), points[rows].tolist(), strict=True)
+            }
+            found[name] = np.array([where.get(tuple(p), -1) for p in xy.tolist()], np.int64)
+    return found
+
+
+def _correspondences(
+    db: pycolmap.Database, path: str, partners: Sequence[str], points_of: dict[str, NDArray[np.int64]], model: Model
+) -> tuple[Floats, Floats]:
+    """Pixels [k, 2] of a truth view and the points [k, 3] that verified matches tie them to, each pair once."""
+    number = db.read_image_with_name(path).image_id
+    features = db.read_keypoints(number)[:, :2].astype(np.float64)
+    pairs: set[tuple[int, int]] = set()
+    for partner in partners:
+        other = db.read_image_with_name(partner).image_id
+        if not db.exists_two_view_geometry(number, other):
+            continue
+        for mine, theirs in db.read_two_view_geometry(number, other).inlier_matches.tolist():
+            if (point := int(points_of[partner][theirs])) >= 0:
+                pairs.add((mine, point))
+    chosen = np.array(sorted(pairs), np.int64).reshape(-1, 2)
+    return features[chosen[:, 0]], model.xyz[chosen[:, 1]]
+
+
+def _pose(xy: Floats, xyz: Floats, lens: pycolmap.Camera, seed: int) -> tuple[Floats, float] | None:
+    """Pose [3, 4] by RANSAC and refinement of the pose alone, and its mean error; None with too little evidence."""
+    if len(xy) < LEAST_INLIERS:
+        return None
+    options = pycolmap.AbsolutePoseEstimationOptions()
+    options.ransac.max_error = LARGEST_ERROR_SHARE * max(lens.width, lens.height)
+    options.ransac.random_seed = seed
+    found = pycolmap.estimate_and_refine_absolute_pose(xy, xyz, lens, options)
+    if found is None or found["num_inliers"] < LEAST_INLIERS:
+        return None
+    inliers = np.asarray(found["inlier_mask"], bool)
+    pose = significant(found["cam_from_world"].inverse().matrix())
+    in_cam = (xyz[inliers] - pose[:, 3]) @ pose[:, :3]
+    error = np.linalg.norm(lens.img_from_cam(np.ascontiguousarray(in_cam)) - xy[inliers], axis=1)
+    return pose, float(error.mean())
