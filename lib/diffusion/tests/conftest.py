@@ -10,6 +10,7 @@ from inpaint3d.contracts.artifacts.prior import PriorSpec  # noqa: E402
 
 _TINY = {"size": 16, "width": 8, "multipliers": (1, 2), "blocks": (1, 1), "attention": (False, True)}
 _SHIPPED = {
+    "residual_bands": (0.3,),
     "packing": 2,
     "condition": "mask-channel",
     "known": "clean",
@@ -26,7 +27,7 @@ def paper_like() -> PriorSpec:
 
 @pytest.fixture
 def shipped_like() -> PriorSpec:
-    """The default conditioning, at 16 pixels. Untrained, it is the exact denoiser of N(fill, residual_std^2)."""
+    """The default conditioning, at 16 pixels. Untrained, it is the exact denoiser of N(fill, 0.3^2)."""
     return PriorSpec.model_validate(_TINY | _SHIPPED)
 
 

@@ -20,7 +20,7 @@ def _eps(seed: int = 0) -> torch.Tensor:
 
 
 def test_sds_is_the_closed_form_of_a_gaussian(prior, picture, hole) -> None:
-    eps, d = _eps(), prior.spec.residual_std
+    eps, d = _eps(), prior.spec.residual_bands[0]
     a, s = per_image(alpha(T)), per_image(sigma(T))
     offset = picture - prior.filled(picture, hole)
     # eps_hat = s (a (x - fill) + s eps) / (a^2 d^2 + s^2), and w = s^2.
@@ -38,7 +38,7 @@ def test_descending_sds_moves_the_hole_towards_what_the_prior_believes(prior, pi
 
 
 def test_the_denoised_target_is_the_gaussians_quantile(prior, picture, hole) -> None:
-    eps, d = _eps(), prior.spec.residual_std
+    eps, d = _eps(), prior.spec.residual_bands[0]
     a, s = per_image(alpha(T)), per_image(sigma(T))
     fill = prior.filled(picture, hole)
     z = a * picture + s * eps

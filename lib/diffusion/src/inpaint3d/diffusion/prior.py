@@ -2,9 +2,10 @@
 
 Pictures are in [-1, 1], masks are 1 inside the hole, z_t is noised everywhere. What the network really sees (noise or a
 fill in the hole, clean or noised known pixels) is in the spec, and training and every query go through the same
-`network_input`, so that the prior is asked exactly what it was taught.
+`shown` and `filled`, so that the prior is asked exactly what it was taught.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -12,9 +13,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.diffusion.bands import pixel_variance
 from inpaint3d.diffusion.fill import pyramid_fill
-from inpaint3d.diffusion.parameterisation import clean_from_output, noise_from_output
-from inpaint3d.diffusion.schedules import alpha, cosine_log_snr, per_image, sigma
+from inpaint3d.diffusion.parameterisation import Parameterisation
+from inpaint3d.diffusion.schedules import cosine_log_snr
 from inpaint3d.diffusion.unet import EfficientUNet
 
 Image = Float[Tensor, "b 3 h w"]
@@ -72,18 +74,29 @@ class InpaintingPrior(nn.Module):
             raise ValueError("this prior shows the hole as noise: pass noise_fill, N(0, 1) of the image's shape")
         return torch.where(mask > 0, noise_fill, image)
 
-    def network_input(self, z: Image, fill: Image, mask: Mask) -> Float[Tensor, "b c h w"]:
-        """z_t and the condition, as one stack of channels."""
-        if self.spec.known == "clean":
-            z = torch.where(mask > 0, z, fill)
-        if self.spec.condition == "noise-fill":
-            return torch.cat([z, fill], dim=1)
-        return torch.cat([z, fill, mask * 2 - 1], dim=1)
+    def parameterisation(self, t: Times) -> Parameterisation:
+        """What the output means at these noise levels."""
+        return Parameterisation(self.spec.prediction, t, self.spec.residual_bands)
+
+    def shown(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
+        """z_t as this prior sees it: noised everywhere (D9), or without noise on the known pixels, alpha(t) x."""
+        if self.spec.known == "noised":
+            return z
+        a, _ = self.parameterisation(t).levels
+        return torch.where(mask > 0, z, a * fill)
 
     def forward(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
-        """The network's raw output; its meaning is `spec.prediction`."""
+        """The network's raw output for z_t as `shown`; its meaning is `spec.prediction`."""
+        channels = [z, fill]
+        if self.spec.prediction == "residual":
+            # Not z: near t = 1 it is all noise, which the network would first have to learn to ignore. The linear guess
+            # says as much about x, and fades into the fill by itself.
+            guess = self.parameterisation(t).linear_guess(z, fill)
+            channels = [(guess - fill) / math.sqrt(pixel_variance(self.spec.residual_bands)), fill]
+        if self.spec.condition == "mask-channel":
+            channels.append(mask * 2 - 1)
         with torch.autocast(z.device.type, torch.bfloat16, enabled=self.bf16):
-            return self.network(self.network_input(z, fill, mask), cosine_log_snr(t)).float()
+            return self.network(torch.cat(channels, dim=1), cosine_log_snr(t)).float()
 
     def estimate(self, z: Image, t: Times, image: Image, mask: Mask, noise_fill: Image | None = None) -> Estimate:
         """Clean picture and noise under one condition, without guidance.
@@ -92,11 +105,11 @@ class InpaintingPrior(nn.Module):
         must hold.
         """
         fill = self.filled(image, mask, noise_fill)
-        a, s = per_image(alpha(t)), per_image(sigma(t))
-        output = self(z, t, fill, mask)
-        clean = clean_from_output(self.spec.prediction, output, z, a, s, fill, self.spec.residual_std)
-        noise = noise_from_output(self.spec.prediction, output, z, a, s, fill, self.spec.residual_std)
+        parameterisation, seen = self.parameterisation(t), self.shown(z, t, fill, mask)
+        output = self(seen, t, fill, mask)
+        clean, noise = parameterisation.clean(output, seen, fill), parameterisation.noise(output, seen, fill)
         if self.spec.known == "clean":
+            a, s = parameterisation.levels
             clean = torch.where(mask > 0, clean, image)
             noise = torch.where(mask > 0, noise, (z - a * image) / s)
         return Estimate(clean, noise)

@@ -17,9 +17,8 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from inpaint3d.contracts.artifacts.prior import PriorSpec
-from inpaint3d.diffusion.parameterisation import target_output
+from inpaint3d.diffusion.bands import pixel_variance
 from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
-from inpaint3d.diffusion.schedules import alpha, per_image, sigma
 
 
 @dataclass(frozen=True)
@@ -96,12 +95,24 @@ def denoising_loss(
     fill = prior.filled(batch.image, hole, noise_fill)
     # Where the truth is unknown z is made of the fill: never of a pixel that must not be learnt.
     x = torch.where(batch.teach > 0, batch.image, pictured(fill, hole, spec))
-    a, s = per_image(alpha(t)), per_image(sigma(t))
-    output = prior(a * x + s * eps, t, fill, hole)
-    target = target_output(spec.prediction, x, eps, a, s, fill, spec.residual_std)
     region = batch.teach * (hole if spec.loss_region == "hole" else 1)
-    squared = ((output - target).square() * region).sum(dim=(1, 2, 3))
+    squared = (_error(prior, x, eps, t, fill, hole).square() * region).sum(dim=(1, 2, 3))
     return (squared / (3 * region.sum(dim=(1, 2, 3))).clamp(min=1)).mean()
+
+
+def _error(prior: InpaintingPrior, x: Image, eps: Image, t: Tensor, fill: Image, hole: Mask) -> Image:
+    """What is squared: the error of the network's output, or for `residual` that of the clean picture."""
+    parameterisation = prior.parameterisation(t)
+    a, s = parameterisation.levels
+    z = prior.shown(a * x + s * eps, t, fill, hole)
+    output = prior(z, t, fill, hole)
+    if prior.spec.prediction != "residual":
+        return output - parameterisation.target(x, eps, fill)
+    # In units of what a white guess of the same variance would leave over (EDM's weight): in units of each band the
+    # finest, three quarters of all numbers, would drown the coarse ones that matter to the eye.
+    variance = pixel_variance(prior.spec.residual_bands)
+    unit = s * (variance / (a**2 * variance + s**2)).sqrt()
+    return (parameterisation.clean(output, z, fill) - x) / unit
 
 
 def pictured(fill: Image, hole: Mask, spec: PriorSpec) -> Image:

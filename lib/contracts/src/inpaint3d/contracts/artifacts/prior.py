@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from inpaint3d.contracts.model import Closed, Finite, Positive, RelativePath, Share
 
@@ -32,12 +32,19 @@ class PriorSpec(Closed):
         default="eps",
         description="what the network's output means; 'residual': EDM preconditioning about the fill",
     )
-    residual_std: Positive = Field(
-        default=0.3,
-        description="residual only: spread of the picture about the fill, pixel values in [-1, 1]",
+    residual_bands: tuple[Positive, ...] = Field(
+        default=(0.112, 0.259, 0.599, 1.33, 2.57, 5.30),
+        description="residual only: spread of the picture about the fill by band of an orthonormal Haar "
+        "transform, finest first, the last for all that is coarser; pixel values in [-1, 1]",
     )
     schedule: Literal["cosine"] = "cosine"
     condition_dropout: Share = 0.1
+
+    @model_validator(mode="after")
+    def _residual_needs_a_fill(self) -> "PriorSpec":
+        if self.prediction == "residual" and self.condition != "mask-channel":
+            raise ValueError("prediction 'residual' is about the fill, which only condition 'mask-channel' has")
+        return self
 
 
 class DiffusionPrior(Closed):

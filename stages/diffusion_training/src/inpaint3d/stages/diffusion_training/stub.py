@@ -19,6 +19,7 @@ STUB_SPEC = PriorSpec(
     known="clean",
     loss_region="hole",
     prediction="residual",
+    residual_bands=(0.1, 0.25, 0.6, 1.3),
 )
 _EMBEDDING = 128
 
