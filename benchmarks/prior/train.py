@@ -98,7 +98,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("out", type=Path)
     parser.add_argument("--hours", type=float, default=2, help="wall time, all runs together")
     parser.add_argument("--batch", type=int, default=8)
-    parser.add_argument("--rate", type=float, default=6e-4, help="learning rate after warm-up")
+    parser.add_argument("--rate", type=float, default=1e-3, help="learning rate after warm-up")
     parser.add_argument("--threads", type=int, default=1)
     return parser.parse_args()
 
