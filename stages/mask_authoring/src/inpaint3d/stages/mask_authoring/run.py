@@ -1,0 +1,68 @@
+"""Author masks: a volume, an object, a scribble, or masks that came with the capture; one mask for every view."""
+
+import cv2
+
+from inpaint3d.contracts.artifacts import (
+    MaskRequest,
+    MaskRequestArtifact,
+    PosedCapture,
+    PosedTruth,
+    RadianceFieldArtifact,
+)
+from inpaint3d.contracts.artifacts.masks import ImportedRequest
+from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.errors import ConfigurationError, WaitingError
+from inpaint3d.scene.capture_io import View
+from inpaint3d.stages.mask_authoring.author import Scene, author
+from inpaint3d.stages.mask_authoring.authored import Authored, write_mask_set
+from inpaint3d.stages.mask_authoring.config import Config
+from inpaint3d.stages.mask_authoring.consistency import consistency
+from inpaint3d.stages.mask_authoring.requests import example_request
+from inpaint3d.stages.mask_authoring.truth import truth_views
+from inpaint3d.stages.mask_authoring.views import load_depth_views
+
+TOO_MUCH = 0.95  # of all pixels masked: nothing is left to reconstruct the scene from
+
+
+def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
+    """See the stage's README; ports and files are described in `stage.yaml` and `contracts.artifacts.masks`."""
+    cv2.setNumThreads(ctx.threads)
+    posed = inputs.one("posed-capture", PosedCapture)
+    views, depth_views = load_depth_views(posed, inputs.one("radiance-field", RadianceFieldArtifact))
+    asked = inputs.optional("mask-request", MaskRequestArtifact)
+    request = asked.metadata.request if asked else unasked(views)
+    truth = inputs.optional("posed-truth", PosedTruth)
+    unseen = truth_views(truth, depth_views) if truth else []
+    scene = Scene(views, depth_views, unseen, posed.metadata.ordered)
+    authored = author(request.mask, scene, request.dilate, config, ctx)
+    check(authored)
+    agreement = None if authored.primitives else consistency(depth_views, authored.masks, config.depth_tolerance)
+    names, truth_names = [v.name for v in views], [v.name for v in unseen]
+    folder = outputs.folder("mask-set")
+    outputs.write("mask-set", write_mask_set(folder, authored, names, truth_names, agreement))
+    ctx.progress(1, 1, authored.method, share=authored.mean_share)
+
+
+def unasked(views: list[View]) -> MaskRequest:
+    """What a run without a request does: use the capture's own masks, or wait for a person."""
+    if any(v.mask_path for v in views):
+        return MaskRequest(mask=ImportedRequest(kind="imported"))
+    raise WaitingError(
+        f"no mask: the capture brings none and none was asked for. Write a request such as\n\n"
+        f"{example_request(views[0])}\n\nto a file and run again with --mask FILE. "
+        "Other kinds: sphere, box, scribble, outpaint, imported"
+    )
+
+
+def check(authored: Authored) -> None:
+    """ConfigurationError for a mask that is nowhere, or everywhere."""
+    if not any(m.any() for m in authored.masks):
+        raise ConfigurationError(
+            f"the {authored.origin} mask is in none of the {len(authored.masks)} views; "
+            "move or enlarge it in the mask request"
+        )
+    if authored.mean_share > TOO_MUCH:
+        raise ConfigurationError(
+            f"the {authored.origin} mask covers {authored.mean_share:.1%} of the views' pixels (at most {TOO_MUCH:.0%} "
+            "can work); make it smaller in the mask request (an outpainting sphere larger)"
+        )

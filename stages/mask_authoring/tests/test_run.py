@@ -1,0 +1,312 @@
+"""The stage on the synthetic room, whose depth, cameras and object masks are exact."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from inpaint3d.contracts.artifacts import (
+    FieldSpec,
+    FieldView,
+    LensModel,
+    MaskRequest,
+    MaskRequestArtifact,
+    MaskSet,
+    PosedCapture,
+    PosedTruth,
+    RadianceFieldArtifact,
+    Registration,
+)
+from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, WaitingError
+from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.store import Store
+from inpaint3d.scene.capture_io import write_points, write_view
+from inpaint3d.scene.image_io import read_mask, write_exr, write_mask, write_png
+from inpaint3d.scene.synthetic import BALL_RADIUS, SyntheticScene, arc_cameras, synthetic_scene
+from inpaint3d.scene.volumes import sphere, volume_mask
+from inpaint3d.stages.mask_authoring.config import Config
+from inpaint3d.stages.mask_authoring.run import run
+
+STAGE = load_stage(Path(__file__).parents[1] / "stage.yaml")
+IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+FAST = Config(segment_size=120, voxels=48)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A store with the room as posed capture and pretrained field."""
+
+    store: Store
+    scene: SyntheticScene
+    inputs: dict
+
+    def author(self, request: dict | None, config: Config = FAST, dilate: float = 0.0, **more) -> tuple[MaskSet, Path]:
+        inputs = self.inputs | more
+        if request is not None:
+            wanted = MaskRequest.model_validate({"mask": request, "dilate": dilate})
+            folder = self.store.private_folder()
+            inputs["mask-request"] = self.store.put(folder, "mask-request", MaskRequestArtifact(request=wanted))
+        outputs = Outputs(self.store, STAGE)
+        work = self.store.private_folder()
+        ctx = Context(seed=0, device="cpu", threads=1, work=work, emit=lambda event, **values: None)
+        run(config, Inputs(self.store, STAGE, inputs), outputs, ctx)
+        artifact = self.store.open(outputs.store_all()["mask-set"], MaskSet)
+        return artifact.metadata, artifact.root
+
+    def masks(self, request: dict | None, **more) -> list[np.ndarray]:
+        metadata, root = self.author(request, **more)
+        return [read_mask(root / v.mask) for v in metadata.views]
+
+
+def capture(store: Store, scene: SyntheticScene, masked=()) -> str:
+    folder = store.private_folder()
+    write_points(folder / "points.safetensors", scene.points)
+    frames = [
+        write_view(folder, n, im, c, mask=m if i in masked else None)
+        for i, (n, im, c, m) in enumerate(
+            zip(scene.names, scene.images, scene.cameras, scene.object_masks, strict=True)
+        )
+    ]
+    count = len(frames)
+    metadata = PosedCapture(
+        frames=tuple(frames),
+        ordered=True,
+        lens=LensModel(model="PINHOLE", params=(1.0, 1.0, 0.0, 0.0), evidence="exact"),
+        registration=Registration(
+            source="known", given=count, registered=count, mean_reprojection_error_px=0.0,
+            points=len(scene.points), median_triangulation_angle_deg=20.0,
+        ),
+        source_from_normalised_scale=1.0,
+        source_from_normalised=IDENTITY,
+        centre_depth=0.85,
+        up_evidence="exact",
+    )  # fmt: skip
+    return store.put(folder, "posed-capture", metadata)
+
+
+def field(store: Store, scene: SyntheticScene, noise: float = 0.0, opaque: float = 1.0) -> str:
+    """A field artifact at half the pictures' size with smooth relative depth noise."""
+    folder, rng, views = store.private_folder(), np.random.default_rng(0), []
+    for name, depth, image in zip(scene.names, scene.depths, scene.images, strict=True):
+        half = depth[::2, ::2]
+        bumps = cv2.GaussianBlur(rng.normal(size=half.shape), (0, 0), 3)
+        half = half * (1 + noise * bumps / bumps.std())
+        write_exr(folder / f"views/{name}.exr", {"depth.Z": half, "median.Z": half, "opacity.A": 0 * half + opaque})
+        write_png(folder / f"views/{name}.png", image)
+        views.append(FieldView(name=name, maps=f"views/{name}.exr", picture=f"views/{name}.png"))
+    (folder / "weights.safetensors").write_bytes(b"not read here")
+    (folder / "learning_curve.csv").write_text("step\n")
+    metadata = RadianceFieldArtifact(
+        label="pretrained", spec=FieldSpec(), views=tuple(views), steps=1, seed=0, backend="exact"
+    )
+    return store.put(folder, "radiance-field", metadata)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory) -> Bench:
+    store = Store(tmp_path_factory.mktemp("store"))
+    scene = synthetic_scene(views=8, width=160, height=120, arc_deg=160)
+    return Bench(store, scene, {"posed-capture": capture(store, scene), "radiance-field": field(store, scene, 0.02)})
+
+
+def middle_of_ball(scene: SyntheticScene, view: int) -> list[float]:
+    return [float(v) for v in scene.cameras[view].project(np.zeros(3))[0]]
+
+
+def recall(masks, truth) -> np.ndarray:
+    return np.array([(m & t).sum() / t.sum() for m, t in zip(masks, truth, strict=True)])
+
+
+def precision(masks, truth) -> np.ndarray:
+    return np.array([(m & t).sum() / m.sum() for m, t in zip(masks, truth, strict=True)])
+
+
+def test_object_pointed_at_once_is_covered_in_every_view(bench):
+    # Points on one view, depth off by 2 % in bumps, views up to 160 degrees apart, every surface of one texture.
+    request = {"kind": "object", "view": "view_002", "points": [middle_of_ball(bench.scene, 2)]}
+    masks = bench.masks(request, dilate=0.015)
+    assert recall(masks, bench.scene.object_masks).min() > 0.98
+    assert precision(masks, bench.scene.object_masks).min() > 0.7
+
+
+def test_refinement_finds_what_the_source_view_cannot_see(bench):
+    request = {"kind": "object", "view": "view_000", "points": [middle_of_ball(bench.scene, 0)]}
+    far = slice(6, 8)  # views 110 degrees and more away
+    plain = bench.masks(request, config=FAST.model_copy(update={"refine": False}))
+    refined = bench.masks(request)
+    truth = bench.scene.object_masks[far]
+    assert recall(plain[far], truth).max() < 0.75
+    assert recall(refined[far], truth).min() > 0.95
+
+
+def test_pixels_may_be_read_on_a_picture_of_another_size(bench):
+    x, y = middle_of_ball(bench.scene, 2)
+    small = bench.masks({"kind": "object", "view": "view_002", "points": [[x, y]]})
+    large = {"kind": "object", "view": "view_002", "points": [[5 * x, 5 * y]], "frame_size": [800, 600]}
+    for a, b in zip(small, bench.masks(large), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_box_on_one_view_works_like_points(bench):
+    rows, columns = np.nonzero(bench.scene.object_masks[2])
+    around = [columns.min() - 3, rows.min() - 3, columns.max() + 3, rows.max() + 3]
+    masks = bench.masks({"kind": "object", "view": "view_002", "box": [float(v) for v in around]}, dilate=0.015)
+    assert recall(masks, bench.scene.object_masks).min() > 0.98
+    assert precision(masks, bench.scene.object_masks).min() > 0.7
+
+
+def test_sphere_masks_are_the_sphere_in_views_and_truth_cameras_alike(bench):
+    cameras = arc_cameras(3, 100, 80, arc_deg=50)
+    truth = put_truth(bench.store, cameras)
+    request = {"kind": "sphere", "centre": [0, 0, 0], "radius": BALL_RADIUS}
+    metadata, root = bench.author(request, **{"posed-truth": truth})
+    for view, expected in zip(metadata.views, bench.scene.object_masks, strict=True):
+        np.testing.assert_array_equal(read_mask(root / view.mask), expected)
+    for view, camera in zip(metadata.truth_views, cameras, strict=True):
+        exact = volume_mask(camera, sphere((0, 0, 0), BALL_RADIUS))
+        np.testing.assert_array_equal(read_mask(root / view.mask), exact)
+    assert metadata.kind == "volume"
+    assert metadata.consistency is None
+
+
+def test_sphere_on_the_axis_lies_at_the_median_depth_of_the_middle_view(bench):
+    exact = {"radiance-field": field(bench.store, bench.scene)}
+    metadata, _ = bench.author({"kind": "sphere", "distance": 0.8, "radius": 0.3}, **exact)
+    camera, median = bench.scene.cameras[4], np.median(bench.scene.depths[4])
+    (volume,) = metadata.primitives
+    expected = camera.centre + 0.8 * median * camera.forward
+    # The field's maps have every second pixel: their median is nearly the whole picture's.
+    np.testing.assert_allclose(volume.centre, expected, atol=0.01 * median)
+    assert volume.size[0] == pytest.approx(2 * 0.3 * median, rel=0.01)
+
+
+def test_outpainting_keeps_only_what_is_seen_through_the_sphere(bench):
+    metadata, root = bench.author({"kind": "outpaint", "radius": 0.3})
+    inverted = metadata.primitives[0]
+    assert metadata.task == "outpaint"
+    for view, camera in zip(metadata.views, bench.scene.cameras, strict=True):
+        plain = inverted.model_copy(update={"inverted": False})
+        np.testing.assert_array_equal(read_mask(root / view.mask), ~volume_mask(camera, plain))
+
+
+def test_truth_masks_of_an_object_come_from_its_hull(bench):
+    cameras = arc_cameras(5, 120, 90, arc_deg=70)
+    truth = put_truth(bench.store, cameras)
+    request = {"kind": "object", "view": "view_002", "points": [middle_of_ball(bench.scene, 2)]}
+    metadata, root = bench.author(request, dilate=0.015, **{"posed-truth": truth})
+    found = [read_mask(root / v.mask) for v in metadata.truth_views]
+    exact = [volume_mask(c, sphere((0, 0, 0), BALL_RADIUS)) for c in cameras]
+    assert recall(found, exact).min() > 0.97
+    assert precision(found, exact).min() > 0.7
+
+
+def test_scribbles_follow_the_surface_they_were_drawn_on(bench):
+    scene = bench.scene
+    # A stroke across the ball and the floor beside it, and its exact image in the next view by true depth.
+    x, y = middle_of_ball(scene, 3)
+    request = {"kind": "scribble", "view": "view_003", "path": [[x - 40, y + 20], [x + 40, y + 20]]}
+    exact = {"radiance-field": field(bench.store, scene)}
+    masks = bench.masks(request, **exact)
+    drawn = masks[3]
+    rows, columns = np.nonzero(drawn)
+    points = scene.cameras[3].unproject(np.stack([columns, rows], -1) + 0.5, scene.depths[3][rows, columns])
+    for i in (2, 4):
+        xy, z = scene.cameras[i].project(points)
+        column, row = xy.astype(int).T
+        visible = scene.cameras[i].inside(xy, z)
+        visible[visible] = np.abs(scene.depths[i][row[visible], column[visible]] - z[visible]) < 0.01
+        assert masks[i][row[visible], column[visible]].mean() > 0.9
+        assert masks[i].sum() < 2 * drawn.sum()
+
+
+def test_a_scribble_without_a_path_depends_on_the_seed_alone(bench):
+    first, second = (bench.masks({"kind": "scribble", "view": "view_003"})[3] for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert 0.02 < first.mean() < 0.5
+
+
+def test_masks_of_the_capture_are_used_without_a_request_and_carried_where_missing(bench):
+    known = (0, 2, 3, 5, 7)
+    inputs = {"posed-capture": capture(bench.store, bench.scene, masked=known)}
+    metadata, root = bench.author(None, **inputs)
+    assert metadata.origin == "imported"
+    masks = [read_mask(root / v.mask) for v in metadata.views]
+    missing = [i for i in range(8) if i not in known]
+    truth = bench.scene.object_masks
+    assert recall([masks[i] for i in missing], truth[missing]).min() > 0.97
+    assert precision([masks[i] for i in missing], truth[missing]).min() > 0.7
+    for i in known:
+        assert (masks[i] | ~truth[i]).all()
+    assert metadata.consistency is not None
+
+
+def test_dilation_grows_by_a_share_of_the_shorter_side(bench):
+    inputs = {"posed-capture": capture(bench.store, bench.scene, masked=range(8))}
+    plain, grown = (bench.masks({"kind": "imported"}, dilate=d, **inputs)[0] for d in (0.0, 0.05))
+    distance = cv2.distanceTransform((~plain).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    np.testing.assert_array_equal(grown[distance <= 5.5], True)  # 0.05 of 120 is 6 pixels
+    assert not grown[distance > 7].any()
+
+
+def test_without_request_and_masks_the_run_waits_with_an_example_that_fits(bench):
+    with pytest.raises(WaitingError, match=r"(?s)view: \"view_000\".*frame_size: \[160, 120\]"):
+        bench.author(None)
+
+
+@pytest.mark.parametrize(
+    ("request_", "says"),
+    [
+        ({"kind": "object", "view": "view_02", "points": [[80, 60]]}, "did you mean 'view_002'"),
+        ({"kind": "object", "view": "view_002"}, "give points"),
+        ({"kind": "object", "view": "view_002", "points": [[160, 60]]}, r"\[160, 60\] is outside"),
+        ({"kind": "object", "view": "view_002", "box": [60, 60, 60, 80]}, "is empty"),
+        ({"kind": "object", "view": "view_002", "points": [[9, 9]], "frame_size": [120, 160]}, "has not the shape"),
+        ({"kind": "object", "view": "view_002", "points": [[9, 9]], "box": [20, 20, 60, 60]}, "outside the box"),
+        ({"kind": "scribble", "view": "nope", "path": [[80, 60]]}, "there is no view 'nope'"),
+        ({"kind": "imported"}, "none of its views has one"),
+        ({"kind": "sphere", "centre": [0, 0, 30], "radius": 0.1}, "in none of the 8 views"),
+        ({"kind": "sphere", "centre": [0, 0, 0], "radius": 5.0}, "covers 100.0%"),
+    ],
+)  # fmt: skip
+def test_requests_that_cannot_work_say_why(bench, request_, says):
+    with pytest.raises(ConfigurationError, match=says):
+        bench.author(request_)
+
+
+def test_a_field_of_other_views_or_without_surfaces_is_refused(bench):
+    fewer = synthetic_scene(views=5, width=32, height=24)
+    with pytest.raises(BadInputError, match="no depth for 3 of 8 views"):
+        bench.author({"kind": "scribble", "view": "view_003"}, **{"radiance-field": field(bench.store, fewer)})
+    empty = {"radiance-field": field(bench.store, bench.scene, opaque=0.1)}
+    with pytest.raises(BadInputError, match="no surface"):
+        bench.author({"kind": "sphere"}, **empty)
+    with pytest.raises(BadInputError, match="no surface"):
+        bench.author({"kind": "scribble", "view": "view_003"}, **empty)
+
+
+def put_truth(store: Store, cameras) -> str:
+    """Truth views of another size; their pictures must not be looked at, so that they are unreadable."""
+    folder, frames = store.private_folder(), []
+    for i, camera in enumerate(cameras):
+        frame = write_view(folder, f"truth_{i}", np.zeros((camera.height, camera.width, 3)), camera)
+        (folder / frame.path).write_bytes(b"no picture")
+        frames.append(frame)
+    metadata = PosedTruth(frames=tuple(frames), registered_share=1.0, mean_reprojection_error_px=0.1)
+    return store.put(folder, "posed-truth", metadata)
+
+
+def test_the_mask_set_is_written_for_every_view_at_its_size(bench):
+    metadata, root = bench.author({"kind": "sphere"})
+    assert [v.name for v in metadata.views] == bench.scene.names
+    for view in metadata.views:
+        mask = read_mask(root / view.mask, (160, 120))
+        assert view.share == pytest.approx(mask.mean())
+
+
+def test_write_mask_round_trips(tmp_path):
+    mask = np.random.default_rng(0).random((5, 7)) > 0.5
+    write_mask(tmp_path / "m.png", mask)
+    np.testing.assert_array_equal(read_mask(tmp_path / "m.png"), mask)
