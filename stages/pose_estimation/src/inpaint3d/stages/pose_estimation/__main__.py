@@ -1,6 +1,5 @@
-"""Read artifacts -> run() -> write artifacts; the shim does the rest."""
+"""python -m inpaint3d.stages.pose_estimation: see `inpaint3d.contracts.shim`."""
 
 from inpaint3d.contracts.shim import serve
 
-if __name__ == "__main__":
-    serve("inpaint3d.stages.pose_estimation")
+serve("inpaint3d.stages.pose_estimation")

@@ -1,37 +1,46 @@
-"""Parameters of pose-estimation."""
+"""Parameters of pose estimation; defaults are the `standard` preset."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed
+from inpaint3d.contracts.model import Closed, Positive, Share
+
+Count = Annotated[int, Field(ge=1)]
 
 
 class Config(Closed):
-    """How cameras are found, what is good enough, and how large the undistorted frames are."""
+    """How cameras are found, and what the gate asks of them."""
 
     cameras: Literal["auto", "known", "estimate"] = Field(
-        default="auto",
-        description="use the cameras that came with the capture, or find them from the pictures; auto: if all came",
+        default="auto", description="auto: cameras that came with every frame are kept, else they are estimated"
     )
-    feature_size: int = Field(
-        default=1000, ge=16, description="longest side of the pictures that features are found on, pixels"
+    lens: Literal["auto", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
+        default="auto", description="camera model to estimate; auto: the simplest that the reprojection errors support"
     )
-    features: int = Field(default=4096, ge=16, description="most features in a picture")
-    exhaustive_up_to: int = Field(
-        default=60,
-        ge=2,
-        description="captures of at most so many pictures are matched all with all; larger ordered ones in sequence",
+    feature_longest_side: Annotated[int, Field(ge=64)] = Field(
+        default=640, description="pixels; pictures are reduced to this before features are looked for"
     )
-    overlap: int = Field(default=12, ge=1, description="sequential matching: neighbours on either side")
-    output_size: int = Field(
-        default=480, ge=8, description="longest side of the undistorted frames, pixels (never enlarged)"
+    features: Annotated[int, Field(ge=64)] = Field(default=4096, description="features per picture, at most")
+    matching: Literal["auto", "exhaustive", "sequential"] = Field(
+        default="auto", description="auto: sequential for ordered captures of more than `exhaustive_up_to` frames"
     )
-    test_every: int = Field(default=8, ge=2, description="every so many frames one is held out")
-    min_registered_share: float = Field(
-        default=0.6, ge=0, le=1, description="gate: share of pictures that must register"
+    exhaustive_up_to: Count = Field(default=25, description="frames; ordered captures up to this many match all pairs")
+    overlap: Count = Field(default=10, description="frames; how far ahead sequential matching looks")
+    truth_partners: Count = Field(default=16, description="frames that each truth view is matched with, spread evenly")
+    output_longest_side: Annotated[int, Field(ge=16)] = Field(
+        default=480, description="pixels; undistorted frames are at most this long (never enlarged)"
     )
-    min_triangulation_angle: float = Field(
-        default=1.5, ge=0, description="gate: median angle between rays to a point, degrees"
+    test_every: Annotated[int, Field(ge=0)] = Field(
+        default=8, description="every so many frames one is held out, from the first; 0: none"
     )
-    min_points: int = Field(default=100, ge=0, description="gate: sparse points")
+    keep_test_from: Count = Field(default=6, description="frames; captures of fewer hold none out")
+    least_registered_share: Share = Field(default=0.6, description="share of the frames that must be registered")
+    least_registered: Annotated[int, Field(ge=2)] = Field(default=3, description="frames that must be registered")
+    least_angle_deg: Annotated[float, Field(ge=0)] = Field(
+        default=1.5, description="degrees; median triangulation angle below which depth cannot be told"
+    )
+    least_points: Count = Field(default=20, description="sparse points that must be found")
+    largest_error_px: Positive = Field(
+        default=4.0, description="pixels at the captured size per 1000 of its longest side; mean reprojection error"
+    )

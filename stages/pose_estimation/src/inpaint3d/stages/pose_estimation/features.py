@@ -1,64 +1,127 @@
-"""SIFT features and matches in a COLMAP database, kept in the work folder so that a rerun goes on."""
+"""Features and verified matches, in a COLMAP database that survives a kill: what is in it is not done again."""
 
-from collections import defaultdict
-from collections.abc import Sequence
+import shutil
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
 import pycolmap
+from numpy.typing import NDArray
 
 from inpaint3d.contracts.artifacts import CapturedFrame
 from inpaint3d.contracts.context import Context
 from inpaint3d.stages.pose_estimation.config import Config
 
-# One distortion parameter is what every phone needs and every capture can carry; richer models are tried afterwards.
-FIRST_MODEL = "SIMPLE_RADIAL"
-QUIET = 2
+# Between two chunks a stop is honoured; each takes a second or two.
+IMAGES_AT_ONCE = 8
+PAIRS_AT_ONCE = 32
+# Without EXIF, a lens of 1.2 times the longest side (a phone's main camera) is where the search starts.
+FOCAL_GUESS = 1.2
+
+Item = TypeVar("Item")
+Pairs = list[tuple[str, str]]
 
 
-def link(frames: Sequence[CapturedFrame], root: Path, folder: Path) -> list[str]:
-    """Give COLMAP the pictures under `folder`; returns their names relative to its parent."""
-    folder.mkdir(parents=True, exist_ok=True)
-    names: list[str] = []
-    for frame in frames:
-        target = folder / Path(frame.path).name
-        if not target.is_symlink():
-            target.symlink_to((root / frame.path).resolve())
-        names.append(f"{folder.name}/{target.name}")
-    return names
+def quiet() -> None:
+    """Only errors of pycolmap reach standard error."""
+    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
 
 
-def extract(
-    database: Path, pictures: Path, frames: Sequence[CapturedFrame], names: Sequence[str], config: Config, ctx: Context
+def guessed_camera(number: int, frames: Sequence[CapturedFrame], model: str) -> pycolmap.Camera:
+    """A camera to start from for frames of one size: the EXIF focal length where there is one."""
+    width, height = frames[0].width, frames[0].height
+    focal = [f.exif.focal_px for f in frames if f.exif.focal_px]
+    start = float(np.median(focal)) if focal else FOCAL_GUESS * max(width, height)
+    camera = pycolmap.Camera.create_from_model_name(number, model, start, width, height)
+    camera.has_prior_focal_length = bool(focal)
+    return camera
+
+
+def create_database(path: Path, cameras: Sequence[pycolmap.Camera], copy_of: Path | None = None) -> None:
+    """A database with these cameras under their own numbers; one that is there already is left alone."""
+    if path.exists():
+        return
+    new = path.with_name(f"new-{path.name}")
+    new.unlink(missing_ok=True)
+    if copy_of is not None:
+        shutil.copyfile(copy_of, new)
+    with pycolmap.Database.open(new) as database:
+        for camera in cameras:
+            database.write_camera(camera, use_camera_id=True)
+    new.rename(path)
+
+
+def add_pictures(
+    database: Path, folder: Path, groups: Mapping[int, Sequence[str]], config: Config, ctx: Context
 ) -> None:
-    """Features of every picture; pictures of one size share a camera."""
-    pycolmap.logging.minloglevel = QUIET
-    options = pycolmap.FeatureExtractionOptions(
-        use_gpu=False, num_threads=ctx.threads, max_image_size=config.feature_size
-    )
+    """Extract features of pictures (paths below `folder`), grouped by the number of their camera."""
+    options = pycolmap.FeatureExtractionOptions()
+    options.max_image_size = config.feature_longest_side
+    options.num_threads = ctx.threads
     options.sift.max_num_features = config.features
-    by_size: dict[tuple[int, int], list[str]] = defaultdict(list)
-    for frame, name in zip(frames, names, strict=True):
-        by_size[(frame.width, frame.height)].append(name)
-    for group in by_size.values():
-        pycolmap.extract_features(
-            database,
-            pictures,
-            group,
-            camera_mode=pycolmap.CameraMode.SINGLE,
-            reader_options=pycolmap.ImageReaderOptions(camera_model=FIRST_MODEL),
-            extraction_options=options,
-            device=pycolmap.Device.cpu,
-        )
+    reader = pycolmap.ImageReaderOptions()
+    done, total = 0, sum(len(names) for names in groups.values())
+    for number, names in groups.items():
+        reader.existing_camera_id = number
+        for chunk in chunks(names, IMAGES_AT_ONCE):
+            ctx.progress(done, total, "features")
+            pycolmap.extract_features(
+                database, folder, image_names=chunk, reader_options=reader, extraction_options=options,
+                device=pycolmap.Device.cpu,
+            )  # fmt: skip
+            done += len(chunk)
 
 
-def match(database: Path, count: int, *, ordered: bool, config: Config, ctx: Context) -> str:
-    """Match by the capture's order and size, and verify; returns what was done, in words."""
-    options = pycolmap.FeatureMatchingOptions(use_gpu=False, num_threads=ctx.threads)
+def match(database: Path, pairs: Pairs, ctx: Context) -> None:
+    """Match pictures pair by pair, and keep what one two-view geometry explains."""
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.num_threads = ctx.threads
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = ctx.seed
-    if ordered and count > config.exhaustive_up_to:
-        pairing = pycolmap.SequentialPairingOptions(overlap=config.overlap, loop_detection=False)
-        pycolmap.match_sequential(database, options, pairing, verification, device=pycolmap.Device.cpu)
-        return f"sequential, overlap {config.overlap}"
-    pycolmap.match_exhaustive(database, options, verification_options=verification, device=pycolmap.Device.cpu)
-    return "exhaustive"
+    listed = database.with_name(f"{database.stem}-pairs.txt")
+    importing = pycolmap.ImportedPairingOptions()
+    importing.match_list_path = listed
+    for i, chunk in enumerate(chunks(pairs, PAIRS_AT_ONCE)):
+        ctx.progress(i * PAIRS_AT_ONCE, len(pairs), "matching")
+        listed.write_text("".join(f"{a} {b}\n" for a, b in chunk))
+        pycolmap.match_image_pairs(
+            database, matching_options=matching, pairing_options=importing, verification_options=verification,
+            device=pycolmap.Device.cpu,
+        )  # fmt: skip
+
+
+def choose_pairs(names: Sequence[str], *, ordered: bool, config: Config) -> Pairs:
+    """All pairs of small or unordered sets; of ordered ones each with the next few and with some far ahead.
+
+    Steps double beyond `overlap`, and both ends meet, so that a walk that comes back to where it was closes its loop.
+    """
+    way = config.matching
+    if way == "auto":
+        way = "sequential" if ordered and len(names) > config.exhaustive_up_to else "exhaustive"
+    if way == "exhaustive" or len(names) <= config.overlap + 1:
+        return list(combinations(names, 2))
+    near = range(1, config.overlap + 1)
+    far = [config.overlap * 2**k for k in range(1, 20)]
+    steps = [step for step in [*near, *far] if step < len(names)]
+    pairs: Pairs = [(names[i], names[i + step]) for step in steps for i in range(len(names) - step)]
+    ends: Pairs = [(names[i], names[-1 - j]) for i in range(3) for j in range(3)]
+    return list(dict.fromkeys(pairs + ends))
+
+
+def chunks(items: Sequence[Item], size: int) -> list[list[Item]]:
+    return [list(items[i : i + size]) for i in range(0, len(items), size)]
+
+
+def number_of(database: pycolmap.Database, name: str) -> int:
+    """A picture's number in the database."""
+    image = database.read_image_with_name(name)
+    if image is None:
+        raise KeyError(f"{name} is not in the database")
+    return image.image_id
+
+
+def features_of(database: pycolmap.Database, name: str) -> NDArray[np.float64]:
+    """Where a picture's features are, captured pixels [n, 2]."""
+    return database.read_keypoints(number_of(database, name))[:, :2].astype(np.float64)

@@ -58,8 +58,8 @@ def _check_error(e: Evidence, config: Config, repair: str) -> None:
     allowed = config.largest_error_px * e.longest_side / 1000
     if e.error_px > allowed:
         raise BadInputError(
-            f"the mean reprojection error is {e.error_px:.2f} px at {e.longest_side} px wide, {allowed:.2f} are allowed; "
-            f"{repair}"
+            f"the mean reprojection error is {e.error_px:.2f} px at {e.longest_side} px wide, "
+            f"{allowed:.2f} are allowed; {repair}"
         )
 
 
@@ -69,8 +69,8 @@ def _too_few(e: Evidence, needed: int) -> str:
     counted = f"{e.registered} of {e.given} views could be placed, {needed} are needed"
     if e.verified_pairs and e.turned_pairs >= PANORAMA_SHARE * e.verified_pairs:
         return (
-            f"{counted}: in {e.turned_pairs} of {e.verified_pairs} matching pairs the camera only turned (pure rotation); "
-            "walk sideways between photos, don't turn on the spot"
+            f"{counted}: in {e.turned_pairs} of {e.verified_pairs} matching pairs the camera only turned "
+            "(pure rotation); walk sideways between photos, don't turn on the spot"
         )
     if len(e.model_sizes) > 1 and e.model_sizes[1] >= 3:
         sizes = ", ".join(map(str, e.model_sizes))

@@ -68,7 +68,7 @@ def convert(camera: pycolmap.Camera, lens: str) -> None:
     if lens in FIRST_RADIAL:
         params[FIRST_RADIAL[lens]] = k1
     camera.model = pycolmap.CameraModelId.__members__[lens]
-    camera.params = params
+    camera.params = params.tolist()
 
 
 def root_mean_square(model: pycolmap.Reconstruction) -> float:

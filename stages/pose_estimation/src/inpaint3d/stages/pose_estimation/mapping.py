@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from numpy.typing import ArrayLike
 
 from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.context import Context
@@ -79,8 +80,7 @@ def triangulate(
         numbers = {image.name: image.image_id for image in db.read_all_images()}
     for name, (lens, camera) in known.items():
         image = pycolmap.Image(name=name, camera_id=lens, image_id=numbers[name])
-        world_from_cam = np.array(camera.world_from_cam)
-        given.add_image_with_trivial_frame(image, pycolmap.Rigid3d(world_from_cam).inverse())
+        given.add_image_with_trivial_frame(image, rigid(camera.world_from_cam).inverse())
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = ctx.seed
     options.num_threads = 1
@@ -91,6 +91,13 @@ def triangulate(
     shutil.rmtree(output, ignore_errors=True)
     output.mkdir()
     return pycolmap.triangulate_points(given, database, folder, output, options=options)
+
+
+def rigid(world_from_cam: ArrayLike) -> pycolmap.Rigid3d:
+    """A pose whose rotation is made orthonormal: data sets round their matrices."""
+    pose = np.asarray(world_from_cam, np.float64)
+    u, _, vt = np.linalg.svd(pose[:, :3])
+    return pycolmap.Rigid3d(np.concatenate([u @ vt, pose[:, 3:]], 1))
 
 
 def two_view_kinds(database: Path) -> tuple[int, int, float]:

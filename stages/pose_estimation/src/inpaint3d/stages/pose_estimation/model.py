@@ -52,7 +52,7 @@ class Model:
             rows = np.flatnonzero(self.track_view == view)
             in_cam = (points[rows] - pose[:, 3]) @ pose[:, :3]
             front = in_cam[:, 2] > 0
-            xy = self.lenses[lens].img_from_cam(np.ascontiguousarray(in_cam[front]))
+            xy = np.asarray(self.lenses[lens].img_from_cam(np.ascontiguousarray(in_cam[front])))
             error[rows[front]] = np.linalg.norm(xy - self.track_xy[rows[front]], axis=1)
         return error
 
@@ -72,7 +72,7 @@ def from_reconstruction(found: pycolmap.Reconstruction, order: list[str]) -> Mod
     xy = [images[view].points2D[k].xy for track in tracks for view, k in track]
     lenses = {i: pycolmap.Camera(c.todict()) for i, c in sorted(found.cameras.items())}
     for lens in lenses.values():
-        lens.params = significant(lens.params)
+        lens.params = significant(lens.params).tolist()
     poses = [significant(image.cam_from_world().inverse().matrix()) for image in images]
     model = Model(
         names=[image.name for image in images],

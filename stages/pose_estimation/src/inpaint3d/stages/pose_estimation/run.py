@@ -1,4 +1,4 @@
-"""Cameras, lens and sparse points from a capture; undistorted frames in the normalised world; truth views beside them."""
+"""Cameras, lens and sparse points from a capture, undistorted frames in the normalised world, truth views beside."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,6 +22,7 @@ from inpaint3d.scene.capture_io import SparsePoints, captured_image, captured_ma
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.mapping import rigid
 from inpaint3d.stages.pose_estimation.model import Model
 from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
 from inpaint3d.stages.pose_estimation.solve import Solved, known_lens, link_pictures, solve
@@ -169,7 +170,7 @@ def _known_truth(model: Model, frames: Sequence[CapturedFrame]) -> tuple[Model, 
                  and (c.model_name, c.width, c.height) == (lens.model_name, lens.width, lens.height))  # fmt: skip
         number = next(alike, lens.camera_id)
         lenses.setdefault(number, lens)
-        placed[frame.name] = Registered(np.array(camera.world_from_cam), number, 0.0)
+        placed[frame.name] = Registered(rigid(camera.world_from_cam).matrix(), number, 0.0)
     return replace(model, lenses=lenses), placed
 
 

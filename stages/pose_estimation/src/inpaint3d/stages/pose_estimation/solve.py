@@ -77,7 +77,7 @@ def solve(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
 
 
 def link_pictures(artifact: Artifact[Capture] | Artifact[Truth], folder: Path, kind: str) -> dict[str, str]:
-    """Links named by number (names of frames may hold spaces, which lists of pairs can't); name -> path below folder."""
+    """Links named by number, since lists of pairs can't hold names with spaces; frame name -> path below `folder`."""
     links: dict[str, str] = {}
     (folder / kind).mkdir(parents=True, exist_ok=True)
     for i, frame in enumerate(artifact.metadata.frames):
@@ -108,7 +108,7 @@ def known_lens(number: int, frame: CapturedFrame, camera: KnownCamera) -> pycolm
         raise BadInputError(
             f"camera of {frame.name}: {camera.model} has {len(made.params)} parameters, not {len(camera.params)}"
         )
-    made.params = np.array(camera.params)
+    made.params = list(camera.params)
     made.has_prior_focal_length = True
     return made
 

@@ -12,7 +12,7 @@ from inpaint3d.contracts.artifacts import CapturedFrame
 from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.stages.pose_estimation.config import Config
-from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, match
+from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, features_of, match, number_of
 from inpaint3d.stages.pose_estimation.model import Model, significant
 
 Floats = NDArray[np.float64]
@@ -79,7 +79,7 @@ def _points_by_feature(model: Model, database: Path) -> dict[str, NDArray[np.int
     points = model.track_point
     with pycolmap.Database.open(database) as db:
         for view, name in enumerate(model.names):
-            xy = db.read_keypoints(db.read_image_with_name(name).image_id)[:, :2].astype(np.float64)
+            xy = features_of(db, name)
             rows = np.flatnonzero(model.track_view == view)
             where = {
                 tuple(p): point for p, point in zip(model.track_xy[rows].tolist(), points[rows].tolist(), strict=True)
@@ -92,11 +92,10 @@ def _correspondences(
     db: pycolmap.Database, path: str, partners: Sequence[str], points_of: dict[str, NDArray[np.int64]], model: Model
 ) -> tuple[Floats, Floats]:
     """Pixels [k, 2] of a truth view and the points [k, 3] that verified matches tie them to, each pair once."""
-    number = db.read_image_with_name(path).image_id
-    features = db.read_keypoints(number)[:, :2].astype(np.float64)
+    number, features = number_of(db, path), features_of(db, path)
     pairs: set[tuple[int, int]] = set()
     for partner in partners:
-        other = db.read_image_with_name(partner).image_id
+        other = number_of(db, partner)
         if not db.exists_two_view_geometry(number, other):
             continue
         for mine, theirs in db.read_two_view_geometry(number, other).inlier_matches.tolist():
@@ -119,5 +118,5 @@ def _pose(xy: Floats, xyz: Floats, lens: pycolmap.Camera, seed: int) -> tuple[Fl
     inliers = np.asarray(found["inlier_mask"], bool)
     pose = significant(found["cam_from_world"].inverse().matrix())
     in_cam = (xyz[inliers] - pose[:, 3]) @ pose[:, :3]
-    error = np.linalg.norm(lens.img_from_cam(np.ascontiguousarray(in_cam)) - xy[inliers], axis=1)
+    error = np.linalg.norm(np.asarray(lens.img_from_cam(np.ascontiguousarray(in_cam))) - xy[inliers], axis=1)
     return pose, float(error.mean())

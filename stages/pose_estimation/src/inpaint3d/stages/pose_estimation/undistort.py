@@ -35,7 +35,9 @@ class Undistorter:
         straight = captured
         if self._bends:
             x, y = self._maps
-            straight = cv2.remap(captured, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            straight = np.asarray(
+                cv2.remap(captured, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
+            )
         return np.asarray(self._reduced(straight), np.float32)
 
     def mask(self, captured: Mask) -> Mask:
@@ -62,7 +64,7 @@ class Undistorter:
         """Captured pixels [n, 2] as pixels of the undistorted view."""
         captured_xy = np.ascontiguousarray(captured_xy, np.float64).reshape(-1, 2)
         small = self._full.scaled(self.width, self.height)
-        return self.lens.cam_from_img(captured_xy) * (small.fx, small.fy) + (small.cx, small.cy)
+        return np.asarray(self.lens.cam_from_img(captured_xy)) * (small.fx, small.fy) + (small.cx, small.cy)
 
     @property
     def _bends(self) -> bool:
@@ -71,7 +73,7 @@ class Undistorter:
 
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Where each full-size pinhole pixel is in the captured picture, in OpenCV's indices (centres at whole numbers)."""
+        """Where full-size pinhole pixels are in the captured picture, in OpenCV's indices (whole at centres)."""
         xy = self._distorted(self._full, self._full.pixel_centres()) - 0.5
         maps = xy.astype(np.float32).reshape(self.lens.height, self.lens.width, 2)
         return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
@@ -79,7 +81,7 @@ class Undistorter:
     def _distorted(self, pinhole: Camera, xy: Floats) -> Floats:
         """Pinhole pixels [*n, 2] as captured pixels [n, 2]."""
         plane = (xy.reshape(-1, 2) - (pinhole.cx, pinhole.cy)) / (pinhole.fx, pinhole.fy)
-        return self.lens.img_from_cam(np.concatenate([plane, np.ones((len(plane), 1))], 1))
+        return np.asarray(self.lens.img_from_cam(np.concatenate([plane, np.ones((len(plane), 1))], 1)))
 
     def _reduced(self, picture: NDArray[np.float32]) -> NDArray[np.float32]:
         if (self.width, self.height) == (self.lens.width, self.lens.height):
