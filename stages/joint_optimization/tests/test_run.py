@@ -55,7 +55,8 @@ def test_nothing_under_the_mask_reaches_the_field(
 
 def test_reconstruction_learns_what_is_known(store: Store, inputs: Wired, room: SyntheticScene) -> None:
     """It beats the mean colour on the known pixels of the view that it was not fitted to."""
-    result = optimised(store, inputs(), estimator="none", steps=150, rays=512)
+    finer = TINY["architecture"] | {"levels": 5, "finest": 96, "log2_table": 14, "samples": 16}
+    result = optimised(store, inputs(), estimator="none", steps=250, rays=512, architecture=finer)
     mean = room.images[~room.object_masks].mean(0)
     known = ~room.object_masks[2]
     baseline = psnr(np.broadcast_to(mean, room.images[2].shape), room.images[2], known)
@@ -112,6 +113,9 @@ def test_an_initial_field_goes_on_where_it_was(store: Store, inputs: Wired) -> N
     )
     assert second.metadata.spec == first.metadata.spec
     assert [r["t"] != "" for r in rows(second.path("terms.csv"))] == [True, True, True]
+    assert "hole" in second.metadata.decisions
+    whole = optimised(store, inputs() | {"initial-field": first.digest}, steps=3, hole="as-masked")
+    assert "hole" not in whole.metadata.decisions
 
 
 def test_effects_that_are_off_are_absent(store: Store, inputs: Wired) -> None:

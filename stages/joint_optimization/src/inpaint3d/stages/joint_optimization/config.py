@@ -71,6 +71,14 @@ class Config(Closed):
     warmup_steps: Steps = Field(
         default=200, description="reconstruction-only steps at the start; 0 with an initial field (S7)"
     )
+    hole: Literal["as-masked", "unseen"] = Field(
+        default="unseen",
+        description="what the prior fills: all that is masked (the paper), or what other views do not show "
+        "(needs an initial field)",
+    )
+    witnesses: Count = Field(
+        default=2, description="other views that must know a masked surface for it to be left alone"
+    )
     distill_every: Count = Field(default=1, description="steps from one distilled patch to the next; 1 in the paper")
     weight: Positive = Field(default=0.1, description="peak weight of the distillation term (S6)")
     weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")

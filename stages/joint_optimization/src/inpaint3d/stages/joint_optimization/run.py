@@ -8,6 +8,7 @@ import torch
 from inpaint3d.contracts.artifacts import DiffusionPrior, EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
+from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.io import load_prior
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.artifact import write_views
@@ -16,6 +17,7 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field, save_field
 from inpaint3d.radiance.optim import learning_rate, make_optimizer
 from inpaint3d.radiance.training import descend, proposal_anneal
+from inpaint3d.scene.image_io import read_exr
 from inpaint3d.stages.joint_optimization.batch import RayBank
 from inpaint3d.stages.joint_optimization.config import LABELS, Config
 from inpaint3d.stages.joint_optimization.curves import Curves
@@ -25,7 +27,7 @@ from inpaint3d.stages.joint_optimization.guidance import Guide
 from inpaint3d.stages.joint_optimization.held_out import HeldOut
 from inpaint3d.stages.joint_optimization.objective import gradient_norms, step_terms
 from inpaint3d.stages.joint_optimization.patches import Window, centre_views, draw_window
-from inpaint3d.stages.joint_optimization.scene import Scene, distillable, load_scene
+from inpaint3d.stages.joint_optimization.scene import Scene, SceneView, distillable, load_scene
 from inpaint3d.stages.joint_optimization.schedule import (
     TimestepRange,
     centre_views_only,
@@ -34,8 +36,10 @@ from inpaint3d.stages.joint_optimization.schedule import (
     timestep_range,
     window_span,
 )
+from inpaint3d.stages.joint_optimization.shrink import shrunk
 
 CHECKPOINT_INTERVAL_S = 30.0
+Views = tuple[SceneView, ...]
 
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
@@ -54,8 +58,13 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     )
     field = load_field(initial.path(initial.metadata.weights), spec) if initial else RadianceField(spec, ctx.seed)
     field = field.to(ctx.device)
+    to_fill = scene.train
+    if initial and guide is not None and config.hole == "unseen":
+        to_fill, decisions.reasons["hole"] = shrink_holes(scene.train, initial, config.witnesses)
     curves = Curves()
-    optimise(field, guide, scene, config, ctx, curves, fresh=initial is None, diffuse_start=decisions.diffuse_start)
+    optimise(
+        field, guide, scene, to_fill, config, ctx, curves, fresh=initial is None, diffuse_start=decisions.diffuse_start
+    )
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
     curves.write(folder)
@@ -81,6 +90,18 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     outputs.write("radiance-field", metadata)
 
 
+def shrink_holes(views: Views, initial: Artifact[RadianceFieldArtifact], witnesses: int) -> tuple[Views, str]:
+    """The views with holes reduced to what other views do not show, and what that left, in words."""
+    maps = {v.name: read_exr(initial.path(v.maps))["median.Z"] for v in initial.metadata.views}
+    if missing := [v.name for v in views if v.name not in maps]:
+        raise BadInputError(f"the initial field has no render of view {missing[0]}; it belongs to another capture")
+    reduced = tuple(shrunk(views, maps, witnesses))
+    if not distillable(reduced):
+        return views, "as masked: other views show all that is behind it"
+    before, after = (sum(int(v.hole.sum()) for v in some) for some in (views, reduced))
+    return reduced, f"{after / before:.0%} of what is masked, which {witnesses} other views do not show"
+
+
 def load_guide(config: Config, inputs: Inputs, scene: Scene, ctx: Context) -> Guide | None:
     """The prior with its estimator; None where the estimator is `none`."""
     if config.estimator == "none":
@@ -104,6 +125,7 @@ def optimise(
     field: RadianceField,
     guide: Guide | None,
     scene: Scene,
+    to_fill: Views,
     config: Config,
     ctx: Context,
     curves: Curves,
@@ -112,6 +134,8 @@ def optimise(
     diffuse_start: bool,
 ) -> None:
     """The paper's loop; a field that is not fresh needs no reconstruction-only start (S7).
+
+    to_fill: the training views with the holes that the prior is to fill.
 
     Interrupted, it leaves a checkpoint from which the next call goes on exactly.
     """
@@ -146,12 +170,12 @@ def optimise(
             specular = specular_scale(step, schedule) if diffuse_start else 1.0
             # Windows come from the step's own seed, not from a stream: a resumed run draws the same.
             window = choose_window(
-                scene, guide, config, since=since, span=span, rng=np.random.default_rng((ctx.seed, step))
+                to_fill, guide, config, since=since, span=span, rng=np.random.default_rng((ctx.seed, step))
             )
             distilled = distil(
                 field,
                 guide,
-                scene.train[window.view],
+                to_fill[window.view],
                 window,
                 timesteps=timesteps[:2],
                 specular_scale=specular,
@@ -187,16 +211,16 @@ def optimise(
 
 
 def choose_window(
-    scene: Scene, guide: Guide, config: Config, *, since: int, span: float, rng: np.random.Generator
+    shown: Views, guide: Guide, config: Config, *, since: int, span: float, rng: np.random.Generator
 ) -> Window:
     """A view that shows the hole (a centre view at first, S8) and a window of it."""
-    views = distillable(scene.train)
+    views = distillable(shown)
     if centre_views_only(since, config.centre_steps):
-        centres = np.stack([scene.train[i].camera.centre for i in views])
-        shares = np.array([scene.train[i].hole_share for i in views])
+        centres = np.stack([shown[i].camera.centre for i in views])
+        shares = np.array([shown[i].hole_share for i in views])
         views = [views[i] for i in centre_views(centres, shares, config.centre_views)]
     chosen = views[int(rng.integers(len(views)))]
-    view = scene.train[chosen]
+    view = shown[chosen]
     window = draw_window(
         view.hole, view.known, chosen, size=guide.prior.spec.size, span=span, least_known=config.least_known, rng=rng
     )

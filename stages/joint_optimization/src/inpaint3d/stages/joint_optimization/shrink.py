@@ -1,0 +1,82 @@
+"""Before anything is invented: which masked pixels show a surface that other views know, and need no prior."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.stages.joint_optimization.scene import Mask, SceneView
+
+DEPTH_TOLERANCE = 0.03
+"""How far, as a share of depth, a point may lie from another view's surface and still be that surface."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coarse:
+    """A view at the size of its depth map: camera, depth along the axis, and what the mask leaves of each cell."""
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    hole: Mask  # any pixel of the cell is masked
+    known: Mask  # every pixel of the cell is known
+
+
+def shrunk(views: Sequence[SceneView], depths: Mapping[str, NDArray[np.float32]], least_views: int) -> list[SceneView]:
+    """The views with their holes reduced to what fewer than `least_views` other views know.
+
+    depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
+    alone. A masked pixel is known elsewhere if the surface point behind it projects onto known pixels of other views,
+    at their depth. What a hole loses is neither hole nor known: nothing is distilled there, and the photo's pixels
+    stay blank.
+    """
+    coarse = [coarsened(v, depths[v.name]) for v in views]
+    reduced = []
+    for index, (view, own) in enumerate(zip(views, coarse, strict=True)):
+        witnesses = np.zeros(own.hole.shape, np.int64)
+        y, x = np.nonzero(own.hole)
+        points = own.camera.unproject(np.stack([x + 0.5, y + 0.5], -1), own.depth[y, x])
+        for other in (*coarse[:index], *coarse[index + 1 :]):
+            witnesses[y, x] += witnessed(other, points)
+        unseen = grown(own.hole & (witnesses < least_views))
+        reduced.append(replace(view, hole=view.hole & enlarged(unseen, view.hole.shape)))
+    return reduced
+
+
+def witnessed(view: Coarse, points: NDArray[np.float64]) -> Mask:
+    """Which points [n, 3] lie on a surface that the view shows outside its mask."""
+    xy, z = view.camera.project(points)
+    inside = view.camera.inside(xy, z)
+    x, y = (np.where(inside, xy[:, axis], 0).astype(np.int64) for axis in (0, 1))
+    met = view.depth[y, x]
+    return inside & view.known[y, x] & (np.abs(z - met) < DEPTH_TOLERANCE * met)
+
+
+def coarsened(view: SceneView, depth: NDArray[np.float32]) -> Coarse:
+    """The view at the size of its depth map [h, w]."""
+    h, w = depth.shape
+    return Coarse(view.camera.scaled(w, h), depth, pooled(view.hole, h, w), ~pooled(~view.known, h, w))
+
+
+def pooled(mask: Mask, height: int, width: int) -> Mask:
+    """Whether any pixel of each cell is set; `mask` [h, w] is at least as large as (height, width)."""
+    rows = np.linspace(0, mask.shape[0], height + 1)[:-1].astype(np.int64)
+    columns = np.linspace(0, mask.shape[1], width + 1)[:-1].astype(np.int64)
+    return np.logical_or.reduceat(np.logical_or.reduceat(mask, rows, axis=0), columns, axis=1)
+
+
+def enlarged(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """The nearest cell of `mask` for each pixel of a picture of `shape` (h, w)."""
+    y = (np.arange(shape[0]) + 0.5) * mask.shape[0] / shape[0]
+    x = (np.arange(shape[1]) + 0.5) * mask.shape[1] / shape[1]
+    return mask[y.astype(np.int64)[:, None], x.astype(np.int64)[None]]
+
+
+def grown(mask: Mask) -> Mask:
+    """One cell to every side: a seam between what is kept and what is made up needs room to be closed."""
+    padded = np.pad(mask, 1)
+    h, w = mask.shape
+    return np.logical_or.reduce(
+        [padded[1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    )
