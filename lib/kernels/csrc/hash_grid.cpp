@@ -7,7 +7,9 @@ namespace inpaint3d::INPAINT3D_ISA {
 namespace {
 
 constexpr int kBatch = 64;           // points whose corners are found together; a multiple of every kLanes
-constexpr int64_t kBlock = 2048;     // points of one task of the forward pass: its output stays in L2
+constexpr int64_t kBlock = 1 << 16;  // points of one task, at most: many, since a level's entries are then in L2 for most
+constexpr int64_t kInCache = 1 << 15;  // levels of fewer numbers need no prefetch; nor do entries of more than two, whose
+                                       // reads are already as many as the core keeps in flight (measured)
 
 struct Corners {
   alignas(64) uint32_t index[8][kBatch];
@@ -122,19 +124,44 @@ inline void scatter(const Corners& corners, int count, const float* grad, int64_
 }
 
 template <int channels>
+inline void prefetch(const Corners& corners, int count, const float* table) {
+  for (int corner = 0; corner < 8; ++corner)
+    for (int p = 0; p < count; ++p) __builtin_prefetch(table + channels * int64_t{corners.index[corner][p]});
+}
+
+// Calls visit(first point, count, corners) for each batch of points in order; the entries of the batch that follows are
+// on their way to the cache meanwhile.
+template <int channels, class Visit>
+inline void for_each_batch(const float* points, int64_t start, int64_t end, const Level& level, const float* entries,
+                           const Visit& visit) {
+  const bool ahead = channels <= 2 && int64_t{level.size} * channels >= kInCache;
+  Batch batch[2];
+  Corners corners[2];
+  int now = 0;
+  for (int64_t p = start; p < end + kBatch; p += kBatch, now = 1 - now) {
+    if (p < end) {
+      read_points(points + 3 * p, static_cast<int>(end - p < kBatch ? end - p : kBatch), batch[now]);
+      find_corners(batch[now], level, corners[now]);
+      if (ahead) prefetch<channels>(corners[now], batch[now].count, entries);
+    }
+    if (p > start) visit(p - kBatch, batch[1 - now].count, corners[1 - now]);
+  }
+}
+
+template <int channels>
 void forward(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads) {
   const int64_t width = int64_t{grid.level_count} * channels;
-  parallel_for((count + kBlock - 1) / kBlock, threads, [&](int64_t block) {
-    const int64_t end = count < (block + 1) * kBlock ? count : (block + 1) * kBlock;
-    Batch batch;
-    Corners corners;
-    for (int level = 0; level < grid.level_count; ++level) {
-      const float* entries = table + channels * grid.levels[level].offset;
-      for (int64_t p = block * kBlock; p < end; p += kBatch) {
-        read_points(points + 3 * p, static_cast<int>(end - p < kBatch ? end - p : kBatch), batch);
-        find_corners(batch, grid.levels[level], corners);
-        gather<channels>(corners, batch.count, entries, out + p * width + level * channels, width);
-      }
+  const int64_t share = ((count + threads - 1) / threads + kBatch - 1) / kBatch * kBatch;
+  const int64_t block = share < kBlock ? share : kBlock;
+  parallel_for(count == 0 ? 0 : (count + block - 1) / block, threads, [&](int64_t task) {
+    const int64_t end = count < (task + 1) * block ? count : (task + 1) * block;
+    for (int index = 0; index < grid.level_count; ++index) {
+      const Level& level = grid.levels[index];
+      const float* entries = table + channels * level.offset;
+      for_each_batch<channels>(points, task * block, end, level, entries,
+                               [&](int64_t p, int batch, const Corners& corners) {
+                                 gather<channels>(corners, batch, entries, out + p * width + index * channels, width);
+                               });
     }
   });
 }
@@ -156,17 +183,13 @@ void backward(const float* points, int64_t count, const float* out_grad, Grid gr
     float* entries = table_grad + channels * level.offset;
     // Here, not before: the range is then in the cache for what follows.
     std::memset(entries + channels * int64_t{first}, 0, sizeof(float) * channels * int64_t{size});
-    Batch batch;
-    Corners corners;
-    for (int64_t p = 0; p < count; p += kBatch) {
-      read_points(points + 3 * p, static_cast<int>(count - p < kBatch ? count - p : kBatch), batch);
-      find_corners(batch, level, corners);
+    for_each_batch<channels>(points, 0, count, level, entries, [&](int64_t p, int batch, const Corners& corners) {
       const float* grad = out_grad + p * width + index * channels;
       if (parts == 1)
-        scatter<channels, true>(corners, batch.count, grad, width, 0, level.size, entries);
+        scatter<channels, true>(corners, batch, grad, width, 0, level.size, entries);
       else
-        scatter<channels, false>(corners, batch.count, grad, width, first, size, entries);
-    }
+        scatter<channels, false>(corners, batch, grad, width, first, size, entries);
+    });
   });
 }
 
