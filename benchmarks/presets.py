@@ -1,0 +1,87 @@
+"""What each preset costs and wins on the demo capture: `python benchmarks/presets.py [--run PRESET ...]`.
+
+`--run` runs the presets named (each from nothing, in a store of its own) and writes `benchmarks/results/presets.json`;
+without it, only the README's table is written again from that file.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+RESULTS = REPOSITORY / "benchmarks" / "results" / "presets.json"
+FIGURES = ("psnr", "ssim", "lpips_vgg")
+PROTOCOL = "hole-box-vs-truth"
+
+
+def measure(preset: str) -> dict:
+    """Run the demo under a preset; what it took and how it scored."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [
+                str(Path(sys.executable).parent / "inpaint3d"), "run", "examples/demo/capture",
+                "--mask", "examples/demo/mask.yaml", "--name", preset, "--preset", preset,
+                "--store", f"{folder}/store", "--runs-dir", f"{folder}/runs",
+            ],
+            cwd=REPOSITORY, check=True,
+        )  # fmt: skip
+        return summary(json.loads((Path(folder) / "runs" / preset / "metrics.json").read_text()))
+
+
+def summary(report: dict) -> dict:
+    """The figures of the table from a run's metrics.json."""
+    protocol = next(p for p in report["protocols"] if p["name"] == PROTOCOL)
+    first = protocol["metrics"][0]["method"]
+    scores = {m["name"]: m["value"] for m in protocol["metrics"] if m["method"] == first}
+    return {
+        "machine": report["machine"],
+        "cpu_s": round(sum(s["cpu_s"] for s in report["stages"]), 1),
+        "wall_s_by_stage": {s["node"]: s["wall_s"] for s in report["stages"]},
+        "peak_memory_mib": round(max(s["peak_memory_bytes"] for s in report["stages"]) / 2**20),
+        "scores": {name: scores[name] for name in FIGURES},
+    }
+
+
+def table(results: dict) -> str:
+    """The README's table."""
+    machine = next(iter(results.values()))["machine"]
+    lines = [
+        f"{machine['processor']}, {machine['cores']} cores; scores in the hole's box against the truth views.",
+        "",
+        "| preset | sum of stages, minutes | CPU minutes | peak memory | PSNR | SSIM | LPIPS (VGG) |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for preset, r in results.items():
+        wall = sum(r["wall_s_by_stage"].values()) / 60
+        s = r["scores"]
+        lines.append(
+            f"| {preset} | {wall:.1f} | {r['cpu_s'] / 60:.1f} | {r['peak_memory_mib']} MiB "
+            f"| {s['psnr']:.2f} | {s['ssim']:.3f} | {s['lpips_vgg']:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--run", nargs="*", default=[], metavar="PRESET")
+    parser.add_argument("--from-run", nargs=2, action="append", default=[], metavar=("PRESET", "METRICS"))
+    options = parser.parse_args()
+    results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    for preset in options.run:
+        results[preset] = measure(preset)
+    for preset, path in options.from_run:
+        results[preset] = summary(json.loads(Path(path).read_text()))
+    RESULTS.parent.mkdir(exist_ok=True)
+    RESULTS.write_text(json.dumps(results, indent=1) + "\n")
+    readme = REPOSITORY / "README.md"
+    text = readme.read_text()
+    before, _, rest = text.partition("<!-- presets -->")
+    _, _, after = rest.partition("<!-- /presets -->")
+    readme.write_text(f"{before}<!-- presets -->\n{table(results)}\n<!-- /presets -->{after}")
+
+
+if __name__ == "__main__":
+    main()
