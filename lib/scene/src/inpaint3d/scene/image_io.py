@@ -63,7 +63,8 @@ def read_image(path: Path) -> Image:
     BadInputError for a file that is damaged, cut short or not finite.
     """
     buffer = _open(path)
-    pixels, linear = _pixels(buffer, path), _is_linear(buffer.spec())
+    linear = _is_linear(buffer.spec())  # before reading, which makes every buffer float
+    pixels = _pixels(buffer, path)
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)
     if not np.isfinite(colour).all():
         count = int((~np.isfinite(colour)).any(-1).sum())
@@ -94,6 +95,7 @@ def write_png(path: Path, image: ArrayLike) -> None:
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
     spec.attribute("png:compressionLevel", 4)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
     _write(path, spec, pixels)
 

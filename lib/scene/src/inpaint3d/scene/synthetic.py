@@ -144,9 +144,9 @@ def _value_noise(uv: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
 def _sparse_points(cameras: list[Camera], images: NDArray[np.float32], count: int, seed: int) -> SparsePoints:
     """Surface points behind random pixels that at least three views (or all, if fewer) see, with exact tracks."""
     rng = np.random.default_rng(seed)
-    frame = rng.integers(0, len(cameras), 2 * count)
+    frame = rng.integers(0, len(cameras), 4 * count)
     size = (cameras[0].width, cameras[0].height)
-    pixels = rng.random((2 * count, 2)) * size
+    pixels = rng.random((4 * count, 2)) * size
     rays = [cameras[k].rays(p) for k, p in zip(frame, pixels, strict=True)]
     origins, directions = np.stack([r[0] for r in rays]), np.stack([r[1] for r in rays])
     xyz = origins + cast(origins, directions, ball=True)[0][:, None] * directions
