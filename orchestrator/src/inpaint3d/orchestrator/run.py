@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from inpaint3d.contracts.errors import EXIT_CODES, InterruptedRun, WaitingError
+from inpaint3d.contracts.errors import EXIT_CODES, InterruptedRun, RetryableError, WaitingError
 from inpaint3d.contracts.report import NodeRun, RunRecord, Status
 from inpaint3d.contracts.shim import Invocation
 from inpaint3d.contracts.store import Record
@@ -142,6 +142,10 @@ class Scheduler:
     def _ended(self, task: Task, running: RunningStage, code: int) -> None:
         if code == 0 and (record := self.planner.store.lookup(task.key, verify=False)) is not None:
             self._accept(task, "done", record)
+            return
+        if code == 0:
+            message = "it committed under another key: its source was edited after the plan was made; run again"
+            self._close(task, "failed", error=message, exit_code=RetryableError.exit_code)
             return
         # A negative code is a signal's number: 128 + n is what a shell shows.
         code = code if code > 0 else 128 - code

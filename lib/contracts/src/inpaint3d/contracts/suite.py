@@ -104,34 +104,40 @@ class StageContract:
     folder: ClassVar[Path]
 
     @pytest.fixture(scope="class")
-    def upstream(self, tmp_path_factory: pytest.TempPathFactory) -> Upstream:
-        repository = self.folder.parents[1]
+    @classmethod
+    def upstream(cls, tmp_path_factory: pytest.TempPathFactory) -> Upstream:
+        repository = cls.folder.parents[1]
         pipeline = Pipeline(repository / "pipeline.yaml")
-        stage = f"stages/{self.folder.name}"
+        stage = f"stages/{cls.folder.name}"
         node = [n for n in pipeline.order if pipeline.nodes[n].stage == stage][-1]
         return Upstream(pipeline, node, Store(tmp_path_factory.mktemp("store")))
 
     @pytest.fixture(scope="class")
-    def spec(self) -> StageSpec:
-        return load_stage(self.folder / "stage.yaml")
+    @classmethod
+    def spec(cls) -> StageSpec:
+        return load_stage(cls.folder / "stage.yaml")
 
     @pytest.fixture(scope="class")
-    def tiny(self) -> dict[str, Any]:
-        path = self.folder / "tests" / "tiny.yaml"
+    @classmethod
+    def tiny(cls) -> dict[str, Any]:
+        path = cls.folder / "tests" / "tiny.yaml"
         return load_yaml(path)[0] or {}
 
     @pytest.fixture(scope="class")
-    def inputs(self, upstream: Upstream) -> dict[str, Any]:
-        return upstream.inputs_of(upstream.node) | self.tiny_inputs(upstream.store)
+    @classmethod
+    def inputs(cls, upstream: Upstream) -> dict[str, Any]:
+        return upstream.inputs_of(upstream.node) | cls.tiny_inputs(upstream.store)
 
     @pytest.fixture(scope="class")
-    def real(self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any]) -> Result:
+    @classmethod
+    def real(cls, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any]) -> Result:
         """One tiny real run, shared by the tests that look at it."""
         return invoke(spec, upstream.store, inputs, parameters=tiny)
 
-    def tiny_inputs(self, store: Store) -> dict[str, Any]:
+    @classmethod
+    def tiny_inputs(cls, store: Store) -> dict[str, Any]:
         """Inputs that a stub upstream cannot give (capture-ingest overrides this: it needs real pictures)."""
-        path = self.folder / "tests" / "tiny_source"
+        path = cls.folder / "tests" / "tiny_source"
         if not path.is_dir():
             return {}
         folder = store.private_folder()
