@@ -92,7 +92,7 @@ def match(database: Path, pairs: Pairs, ctx: Context) -> None:
         )  # fmt: skip
 
 
-def choose_pairs(names: Sequence[str], *, ordered: bool, config: Config) -> Pairs:
+def choose_pairs(names: list[str], *, ordered: bool, config: Config) -> Pairs:
     """All pairs of small or unordered sets; of ordered ones each with the next few and with some far ahead.
 
     Steps double beyond `overlap`, and both ends meet, so that a walk that comes back to where it was closes its loop.

@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 
 # How much the mean of the cameras' ups counts against the level of their right axes; it decides only where these
 # leave a direction open (all cameras looking one way).
-MEAN_UP_WEIGHT = 0.05
+MEAN_UP_WEIGHT = 0.005
 PLANE_TRIALS = 500
 PLANE_WITHIN_DEG = 20.0
 PLANE_SHARE = 0.15
@@ -64,7 +64,7 @@ def find_up(poses: Floats, xyz: Floats, seed: int) -> tuple[Floats, str]:
 def dominant_plane(poses: Floats, xyz: Floats, up: Floats, seed: int) -> tuple[Floats, float] | None:
     """Unit normal and share of points of the biggest plane within `PLANE_WITHIN_DEG` of level; None if too small.
 
-    RANSAC with planes through three points; inliers lie within 1 % of the cameras' extent and below the cameras.
+    RANSAC with planes through three points, all cameras above; inliers lie within 2 % of the points' median spread.
     """
     if len(xyz) < 50:
         return None

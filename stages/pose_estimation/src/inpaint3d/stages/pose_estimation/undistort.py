@@ -43,12 +43,9 @@ class Undistorter:
     def mask(self, captured: Mask) -> Mask:
         """A captured mask, undistorted and reduced by the nearest pixel."""
         camera = self._full.scaled(self.width, self.height)
-        column, row = (
-            np.floor(self._distorted(camera, camera.pixel_centres()))
-            .astype(np.int64)
-            .T.reshape(2, self.width, self.height)
-        )
-        return captured[np.clip(row.T, 0, self.lens.height - 1), np.clip(column.T, 0, self.lens.width - 1)]
+        at = np.floor(self._distorted(camera, camera.pixel_centres())).astype(np.int64)
+        at = at.reshape(self.height, self.width, 2)
+        return captured[np.clip(at[..., 1], 0, self.lens.height - 1), np.clip(at[..., 0], 0, self.lens.width - 1)]
 
     @cached_property
     def valid(self) -> Mask | None:

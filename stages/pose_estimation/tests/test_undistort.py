@@ -1,0 +1,67 @@
+import numpy as np
+import pycolmap
+import pytest
+
+from inpaint3d.scene.image_io import Image
+from inpaint3d.scene.reprojection import sample_bilinear
+from inpaint3d.stages.pose_estimation.lens import convert
+from inpaint3d.stages.pose_estimation.undistort import Undistorter
+
+
+def lens(model: str, *params: float) -> pycolmap.Camera:
+    return pycolmap.Camera(camera_id=1, model=model, width=120, height=90, params=list(params))
+
+
+BARREL = lens("SIMPLE_RADIAL", 100.0, 61.0, 44.0, -0.15)
+CUSHION = lens("SIMPLE_RADIAL", 100.0, 60.0, 45.0, 0.15)
+
+
+def ramp() -> Image:
+    """A captured picture whose colours are its own pixel coordinates over 120."""
+    y, x = np.mgrid[:90, :120] + 0.5
+    return (np.stack([x, y, x * 0], -1) / 120).astype(np.float32)
+
+
+@pytest.mark.parametrize("camera", [BARREL, CUSHION])
+@pytest.mark.parametrize("side", [120, 60])
+def test_a_pixel_of_the_pinhole_shows_what_the_lens_bent_there(camera, side):
+    flat = Undistorter(camera, side)
+    captured = np.random.default_rng(0).uniform((25, 20), (95, 70), (50, 2))
+    colour = sample_bilinear(flat.image(ramp()), flat.pixels(captured))[:, :2] * 120
+    # Bilinear twice and area averages, on a ramp: a few hundredths of a pixel.
+    np.testing.assert_allclose(colour, captured, atol=0.1)
+
+
+def test_without_distortion_nothing_moves():
+    flat = Undistorter(lens("PINHOLE", 100.0, 90.0, 60.0, 45.0), 480)
+    np.testing.assert_array_equal(flat.image(ramp()), ramp())
+    np.testing.assert_allclose(flat.pixels([[3.0, 4.0]]), [[3.0, 4.0]], atol=1e-9)
+    assert flat.valid is None
+    camera = flat.camera(np.eye(4))
+    assert (camera.width, camera.fx, camera.fy, camera.cx) == (120, 100, 90, 60)
+
+
+def test_a_lens_that_bends_inwards_leaves_corners_without_pixels():
+    assert Undistorter(BARREL, 120).valid is None  # the pinhole crops what a barrel adds
+    valid = Undistorter(CUSHION, 120).valid
+    assert valid is not None
+    assert not valid[0, 0]
+    assert valid[45, 60]
+
+
+def test_masks_follow_their_pictures():
+    flat = Undistorter(BARREL, 60)
+    mask = ramp()[..., 0] > 0.4
+    grey = flat.image(np.repeat(mask[..., None], 3, 2).astype(np.float32))[..., 0]
+    sure = np.abs(grey - 0.5) > 0.49
+    np.testing.assert_array_equal(flat.mask(mask)[sure], grey[sure] > 0.5)
+
+
+def test_changing_the_model_keeps_what_both_know():
+    camera = lens("SIMPLE_RADIAL", 100.0, 61.0, 44.0, -0.15)
+    convert(camera, "OPENCV")
+    assert list(camera.params) == [100, 100, 61, 44, -0.15, 0, 0, 0]
+    convert(camera, "SIMPLE_RADIAL")
+    assert list(camera.params) == [100, 61, 44, -0.15]
+    convert(camera, "PINHOLE")
+    assert list(camera.params) == [100, 100, 61, 44]
