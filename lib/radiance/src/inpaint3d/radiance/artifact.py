@@ -57,7 +57,7 @@ def reduced(camera: Camera, longest_side: int) -> Camera:
     return camera.scaled(max(1, round(camera.width * share)), max(1, round(camera.height * share)))
 
 
-def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
+def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[float | int]]) -> None:
     """A CSV of numbers with seven significant digits; NaN becomes an empty cell."""
     with path.open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
@@ -65,7 +65,7 @@ def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[floa
         table.writerows([["" if math.isnan(v) else f"{v:.7g}" for v in row] for row in rows])
 
 
-def write_curve(folder: Path, rows: Sequence[Sequence[float]]) -> None:
+def write_curve(folder: Path, rows: Sequence[Sequence[float | int]]) -> None:
     """learning_curve.csv: step, rays so far, loss, held-out PSNR (dB; NaN where none was rendered)."""
     write_table(folder / "learning_curve.csv", CURVE_COLUMNS, rows)
 

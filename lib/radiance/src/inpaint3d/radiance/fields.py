@@ -63,22 +63,18 @@ class RadianceField(nn.Module):
     def backend(self) -> backends.Backend:
         return backends.select(self.device, self._backend_name)
 
-    def _cube(self, points: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor | None]:
-        """Points in the grids' cube, and where they are inside the scene (None: everywhere)."""
+    def _cube(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Points in the grids' cube. Without contraction, space beyond the cube continues its border."""
         cube = unit_cube(points, contraction=self.spec.contraction, bound=self.spec.bound)
-        if self.spec.contraction:
-            return cube, None
-        return cube.clamp(0, 1), ((cube >= 0) & (cube <= 1)).all(-1)
+        return cube if self.spec.contraction else cube.clamp(0, 1)
 
     def proposal_density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Density that the proposal network guesses at scene points, per scene unit."""
-        cube, inside = self._cube(points)
-        return _density(self.proposal(cube, self.backend)[:, 0], inside)
+        return _density(self.proposal(self._cube(points), self.backend)[:, 0])
 
     def density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Density at scene points, per scene unit."""
-        cube, inside = self._cube(points)
-        return _density(self.base(cube, self.backend)[:, 0], inside)
+        return _density(self.base(self._cube(points), self.backend)[:, 0])
 
     def appearance(
         self, view: Int64[Tensor, " n"] | None, glo: Literal["view", "mean"]
@@ -101,9 +97,8 @@ class RadianceField(nn.Module):
         The colour is bounded(diffuse + specular_scale * specular), after the view's gain and offset (`appearance`: a
         row for each point, or one for all).
         """
-        cube, inside = self._cube(points)
-        heads = self.base(cube, self.backend)
-        density = _density(heads[:, 0], inside)
+        heads = self.base(self._cube(points), self.backend)
+        density = _density(heads[:, 0])
         diffuse, gain, offset = heads[:, 1:4], None, None
         if appearance is not None:
             gain, offset = torch.exp(appearance[:, :3]), appearance[:, 3:]
@@ -141,9 +136,8 @@ def _start(name: str, shape: tuple[int, ...], generator: torch.Generator) -> Ten
     return spread * math.sqrt(6 / shape[0 if name == "code_map" else 1])
 
 
-def _density(raw: Float[Tensor, " n"], inside: Tensor | None) -> Float[Tensor, " n"]:
-    density = safe.exp(raw + DENSITY_SHIFT)
-    return density if inside is None else density * inside
+def _density(raw: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    return safe.exp(raw + DENSITY_SHIFT)
 
 
 def _exposed(logits: Tensor, gain: Tensor | None, offset: Tensor | None) -> Tensor:

@@ -6,7 +6,7 @@
 import importlib
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, Protocol, cast, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -18,6 +18,7 @@ Name = Literal["reference", "native"]
 OPERATIONS = ("levels_of", "hash_encode", "mlp", "composite", "resample", "adam_step")
 
 
+@runtime_checkable
 class Backend(Protocol):
     """What both modules offer; shapes and meaning are documented in `reference`."""
 

@@ -192,8 +192,8 @@ def composite(
 
 @torch.no_grad()
 def resample(
-    sdist: Float[Tensor, "r n+1"],
-    weights: Float[Tensor, "r n"],
+    sdist: Float[Tensor, "r ends"],
+    weights: Float[Tensor, "r ends-1"],
     count: int,
     jitter: Float[Tensor, "r {count}"] | None = None,
 ) -> Float[Tensor, "r {count}+1"]:
