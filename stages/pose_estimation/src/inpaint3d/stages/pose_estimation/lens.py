@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
+from inpaint3d.stages.pose_estimation.features import quiet
+
 # Principal points are estimated with the richer models only: alone they trade off against the poses.
 CANDIDATES = (("PINHOLE", False), ("SIMPLE_RADIAL", False), ("SIMPLE_RADIAL", True), ("OPENCV", True))
 ENOUGH = 0.01  # share of the error that a richer model has to take away
@@ -54,6 +56,7 @@ def adjusted(model: pycolmap.Reconstruction, lens: str, centre: bool) -> Trial:
     # Mismatches that are left must not steer the lens.
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     pycolmap.bundle_adjustment(copy, options)
+    quiet()  # the call above sets the log level back
     copy.update_point_3d_errors()
     return Trial(lens, centre, copy, root_mean_square(copy))
 
