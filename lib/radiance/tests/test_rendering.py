@@ -61,9 +61,9 @@ def test_a_ball_is_seen_where_it_is() -> None:
     assert core.sum() > 200
     assert (seen["opacity"][core] > 0.99).all()
     np.testing.assert_allclose(seen["rgb"][core], np.tile([0.9, 0.2, 0.1], (core.sum(), 1)), atol=5e-3)
-    # the last samples are a fiftieth of the first proposal's spacing
-    np.testing.assert_allclose(seen["depth"][core], z[core], atol=0.02)
-    np.testing.assert_allclose(seen["median_depth"][core], z[core], atol=0.02)
+    # half of the first proposals' spacing there: an interval counts as in the ball if its middle is
+    np.testing.assert_allclose(seen["depth"][core], z[core], atol=0.023)
+    np.testing.assert_allclose(seen["median_depth"][core], z[core], atol=0.023)
     # empty rays end at the far plane, over the background
     assert (seen["opacity"][~hit] == 0).all()
     np.testing.assert_allclose(seen["depth"][~hit], SPEC.far * (directions @ CAMERA.forward)[~hit], rtol=1e-5)
