@@ -1,0 +1,130 @@
+"""The optimisation: random rays of the training views, proposals, field, losses, Adam."""
+
+import math
+import time
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from inpaint3d.contracts.context import Context
+from inpaint3d.contracts.errors import InterruptedRun
+from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.optim import Adam, learning_rate, make_optimizer
+from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.training import (
+    LossWeights,
+    Pixels,
+    descend,
+    proposal_anneal,
+    rays_at,
+    reconstruction,
+    regularisers,
+)
+from inpaint3d.stages.nerf_pretraining.config import Config
+from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
+
+CHECKPOINT = "checkpoint.safetensors"
+
+CurveRow = list[float]
+"""Step, rays so far, mean reconstruction loss since the row before, held-out PSNR in dB (NaN: no held-out view)."""
+
+
+def fit(field: RadianceField, pixels: Pixels, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
+    """Fit the field to the pixels and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
+    optimizer = make_optimizer(field, network_scale=config.network_rate_share)
+    generator = torch.Generator().manual_seed(ctx.seed)
+    tally = Tally()
+    path = ctx.work / CHECKPOINT
+    if (kept := load_checkpoint(path, field, optimizer, generator)) is not None:
+        tally.restore(kept)
+    saved = time.monotonic()
+    while (step := optimizer.steps) < config.steps:
+        try:
+            ctx.progress(step, config.steps, "fitting", **tally.latest)
+        except InterruptedRun:
+            _save(path, field, optimizer, generator, tally)
+            raise
+        values, rays = one_step(field, pixels, optimizer, generator, config, ctx.non_finite)
+        tally.add(values["reconstruction"], rays)
+        done = step + 1
+        if done % config.score_every == 0 or done == config.steps:
+            tally.close(done, held_out.psnr(field, config.block))
+            ctx.record("learning_curve", **tally.latest)
+        if time.monotonic() - saved > config.checkpoint_every_s:
+            _save(path, field, optimizer, generator, tally)
+            saved = time.monotonic()
+    _save(path, field, optimizer, generator, tally)
+    return tally.curve
+
+
+def one_step(
+    field: RadianceField,
+    pixels: Pixels,
+    optimizer: Adam,
+    generator: torch.Generator,
+    config: Config,
+    non_finite: dict[str, int],
+) -> tuple[dict[str, float], int]:
+    """One step of the fit: the value of each loss term, and how many rays it took."""
+    step = optimizer.steps
+    count = rays_at(step, first=min(config.first_rays, config.rays), last=config.rays, ramp=config.ramp_steps)
+    rays, target = pixels.draw(count, generator)
+    # A background that nothing can imitate: what the photos show has to become opaque.
+    background = torch.rand(count, 3, generator=generator).to(target)
+    anneal = proposal_anneal(step, config.proposal_anneal_steps) if config.proposal_anneal_steps else 1.0
+    rendering = render(
+        field, rays, generator=generator, background=background, anneal=anneal, near_gradient=config.near_gradient
+    )
+    weights = LossWeights(
+        interlevel=config.interlevel_weight,
+        distortion=config.distortion_weight,
+        hash_decay=config.hash_decay_weight,
+    )
+    terms = {"reconstruction": reconstruction(rendering, target), **regularisers(field, rendering, weights)}
+    rate = learning_rate(
+        step,
+        initial=config.learning_rate,
+        final=config.final_learning_rate,
+        steps=config.learning_rate_steps or config.steps,
+        warmup=config.learning_rate_warmup,
+    )
+    return descend(field, optimizer, terms, rate, non_finite), count
+
+
+class Tally:
+    """The learning curve so far, and what has gone into its next row."""
+
+    def __init__(self) -> None:
+        self.curve: list[CurveRow] = []
+        self.rays, self.steps, self.loss = 0, 0, 0.0
+
+    @property
+    def latest(self) -> dict[str, float]:
+        """The last row by column; PSNR is left out where there is none."""
+        row = dict(zip(("step", "rays", "loss", "psnr"), self.curve[-1], strict=True)) if self.curve else {}
+        return {name: value for name, value in row.items() if not math.isnan(value)}
+
+    def add(self, loss: float, rays: int) -> None:
+        self.rays, self.steps, self.loss = self.rays + rays, self.steps + 1, self.loss + loss
+
+    def close(self, step: int, psnr: float) -> None:
+        """End a row."""
+        self.curve.append([step, self.rays, self.loss / self.steps, psnr])
+        self.steps, self.loss = 0, 0.0
+
+    def tensors(self) -> dict[str, Tensor]:
+        """For a checkpoint; float64, so that what is restored is what was saved."""
+        open_row = torch.tensor([self.rays, self.steps, self.loss], dtype=torch.float64)
+        return {"curve": torch.tensor(self.curve, dtype=torch.float64).reshape(-1, 4), "open_row": open_row}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """From a checkpoint."""
+        self.curve = tensors["curve"].tolist()
+        rays, steps, self.loss = tensors["open_row"].tolist()
+        self.rays, self.steps = int(rays), int(steps)
+
+
+def _save(path: Path, field: RadianceField, optimizer: Adam, generator: torch.Generator, tally: Tally) -> None:
+    save_checkpoint(path, field, optimizer, generator, tally.tensors())
