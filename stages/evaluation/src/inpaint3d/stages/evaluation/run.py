@@ -137,7 +137,7 @@ def _strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[
             captions.append("truth")
         file = folder / "pictures" / f"{kind}_{photo.name}.png"
         write_png(file, side_by_side(panels))
-        strips.append(Strip(f"{kind} {photo.name}", file, captions))
+        strips.append(Strip(f"{photo.name} ({kind})", file, captions))
     return strips
 
 
