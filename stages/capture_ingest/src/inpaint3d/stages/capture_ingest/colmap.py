@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, get_args
+from typing import Any, BinaryIO, get_args
 
 import numpy as np
 
@@ -125,5 +125,5 @@ def _images_bin(folder: Path) -> Iterator[Image]:
             yield name.decode(), camera, tuple(pose[:4]), tuple(pose[4:])
 
 
-def _read(file: BinaryIO, layout: str) -> tuple:
+def _read(file: BinaryIO, layout: str) -> tuple[Any, ...]:
     return struct.unpack(layout, file.read(struct.calcsize(layout)))
