@@ -28,6 +28,7 @@ from inpaint3d.diffusion.io import load_prior
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+from inpaint3d.stages.diffusion_training.config import SMALL
 
 MODULE = "inpaint3d.stages.diffusion_training"
 TINY: dict[str, Any] = load_yaml(Path(__file__).parent / "tiny.yaml")[0]
@@ -88,9 +89,9 @@ def put_corpus(store: Store, room: SyntheticScene) -> Digest:
 
 
 def train(
-    store: Store, inputs: Mapping[str, Digest], events: io.TextIOBase | None = None, **parameters: Any
+    store: Store, inputs: Mapping[str, Digest], events: io.TextIOBase | None = None, threads: int = 1, **parameters: Any
 ) -> Artifact[DiffusionPrior]:
-    invocation = Invocation(inputs=dict(inputs), parameters=TINY | parameters, threads=1)
+    invocation = Invocation(inputs=dict(inputs), parameters=TINY | parameters, threads=threads)
     record = execute(MODULE, store, invocation, events or io.StringIO())  # pyright: ignore[reportArgumentType]
     return store.open(record.outputs["diffusion-prior"], DiffusionPrior)
 
@@ -143,6 +144,15 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(store, inputs, tmp_pat
     for digest in inputs.values():
         elsewhere.adopt(store.object_path(digest), store.manifest(digest))
     assert train(elsewhere, inputs).digest == resumed.digest
+
+
+def test_threads_on_offer_change_no_byte(store, inputs, tmp_path) -> None:
+    elsewhere = Store(tmp_path / "elsewhere")
+    for digest in inputs.values():
+        elsewhere.adopt(store.object_path(digest), store.manifest(digest))
+    # At the full size: a tiny network's sums are not split over threads, and could not tell.
+    full = {"prior": SMALL.model_dump(), "steps": 2, "batch": 8, "exam": 1}
+    assert train(store, inputs, **full).digest == train(elsewhere, inputs, threads=2, **full).digest
 
 
 def test_what_it_writes_can_be_queried_and_tells_how_it_went(store, inputs) -> None:

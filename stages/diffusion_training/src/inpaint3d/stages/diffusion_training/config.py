@@ -1,4 +1,4 @@
-"""Parameters of diffusion training. Defaults: the `standard` preset, under three minutes on two CPU cores."""
+"""Parameters of diffusion training. Defaults: the `standard` preset, under three minutes on one CPU core."""
 
 from typing import Annotated, Literal
 
@@ -47,7 +47,7 @@ class Config(Closed):
     prior: PriorSpec = Field(
         default=SMALL, description="architecture and conditioning; a pretrained prior brings its own"
     )
-    steps: Annotated[int, Field(ge=0)] = Field(default=320, description="training steps; 2,250,000 in the paper (D12)")
+    steps: Annotated[int, Field(ge=0)] = Field(default=260, description="training steps; 2,250,000 in the paper (D12)")
     batch: Count = Field(default=8, description="crops a step (D12)")
     learning_rate: Positive = Field(
         default=8e-4, description="peak of Adam's rate from scratch; 1e-4 in the paper (D13)"

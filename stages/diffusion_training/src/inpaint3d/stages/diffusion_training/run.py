@@ -51,7 +51,9 @@ class Lesson:
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     ctx.progress(0, config.steps, "reading the known pixels")
-    torch.set_num_threads(ctx.threads)
+    # One thread, whatever is offered: with two, convolutions sum in another order and the bytes would depend on them.
+    # It leaves the other core to the stages that run beside this one.
+    torch.set_num_threads(1)
     posed, masks = inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet)
     corpus = inputs.optional("image-corpus", ImageCorpus)
     pretrained = inputs.optional("pretrained-prior", DiffusionPrior)

@@ -13,10 +13,10 @@ class Config(Closed):
     """What is measured, on how many views, at what size."""
 
     render_longest_side: Count = Field(
-        default=240, description="pixels; photos, truth and renders are compared at this size (photos never enlarged)"
+        default=320, description="pixels; photos, truth and renders are compared at this size (photos never enlarged)"
     )
     truth_views: Annotated[int, Field(ge=0)] = Field(
-        default=12, description="views scored against the truth at most, spread evenly; 0: none"
+        default=20, description="views scored against the truth at most, spread evenly; 0: none"
     )
     held_out_views: Annotated[int, Field(ge=0)] = Field(
         default=4, description="test-split views scored at most, spread evenly; 0: none"
@@ -31,6 +31,6 @@ class Config(Closed):
     perceptual: bool = Field(default=True, description="LPIPS over both networks, FD-lite0 and KID-lite0")
     picture_views: Annotated[int, Field(ge=0)] = Field(default=3, description="views shown side by side, of each kind")
     contact_longest_side: Count = Field(
-        default=320, description="pixels; size of one panel of before_mask_after_depth.png"
+        default=480, description="pixels; size of one panel of before_mask_after_depth.png"
     )
     block: Count = Field(default=4096, description="rays rendered at once; bounds memory, changes no result")
