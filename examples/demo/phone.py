@@ -36,7 +36,7 @@ def look_at(centre: np.ndarray, target: np.ndarray, roll: float) -> np.ndarray:
 
 
 def hand_held_arc(at: np.ndarray, rng: np.random.Generator, focus: np.ndarray) -> list[np.ndarray]:
-    """Poses at `at` [n] in [0, 1] along 110 degrees around `focus`: two sweeps of height, breathing distance, a shaky hand."""
+    """Poses at `at` [n] in [0, 1] on 110 degrees around `focus`: two sweeps of height, a shaky hand."""
     poses = []
     for t in at:
         azimuth = np.radians(-45 + 110 * (t - 0.5)) + rng.normal(0, 0.01)
@@ -74,7 +74,7 @@ def undistort(xy: np.ndarray) -> np.ndarray:
 
 
 def pixel_rays(shot: Shot, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit rays through each pixel's corner + offsets [h, w, s, 2] in [0, 1): origin [3], directions [h, w, s, 3], world."""
+    """World rays through each pixel's corner + offsets [h, w, s, 2]: origin [3], unit directions [h, w, s, 3]."""
     corner = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), -1)[:, :, None]
     plane = undistort((corner + offsets - [WIDTH / 2, HEIGHT / 2]) / FOCAL_PX)
     camera = np.concatenate([plane, np.ones_like(plane[..., :1])], -1)
@@ -90,7 +90,7 @@ def exif(shot: Shot) -> tuple[float, int]:
 
 
 def develop(radiance: np.ndarray, shot: Shot, rng: np.random.Generator, noise: float = 1.0) -> np.ndarray:
-    """Linear radiance [h, w, 3] -> sRGB-encoded uint8: exposure, shot and read noise scaled by `noise`, clipping, encoding."""
+    """Linear radiance [h, w, 3] -> sRGB-encoded uint8; `noise` scales the sensor's noise."""
     signal = np.maximum(radiance.astype(np.float64), 0) * LIGHT_TO_SENSOR * 2.0**shot.exposure_ev
     gain = exif(shot)[1] / NOMINAL_ISO
     deviation = noise * np.sqrt(SHOT_NOISE * gain * signal + (READ_NOISE * gain) ** 2)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 - its own documentation's name
 from denoise import denoise
 from phone import (
     F_NUMBER,
@@ -81,7 +81,7 @@ def path_trace(scene: mi.Scene, shot: Shot, spp: int, seed: int) -> np.ndarray:
 
 
 def geometry(scenes: dict[str, mi.Scene], shot: Shot) -> tuple[np.ndarray, np.ndarray]:
-    """The object's mask (most of the pixel covered), and depth along the axis at the pixel centre, metres; [h, w] each."""
+    """The object's mask (most of the pixel covered), and depth along the axis at pixel centres, metres; [h, w]."""
     grid = (np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(-1, 2) + 0.5) / 4
     ray = rays(shot, np.broadcast_to(grid, (HEIGHT, WIDTH, 16, 2)))
     everything, thing = (np.array(scenes[name].ray_intersect_preliminary(ray).t) for name in ("with", "object"))
@@ -132,7 +132,8 @@ def camera_record(shot: Shot) -> dict:
 
 def write_cameras(path: Path, taken: list[Shot], shown: list[Shot], seed: int) -> None:
     record = {
-        "about": "OpenCV cameras, metres, z up; pixel centres at +0.5; SIMPLE_RADIAL as COLMAP defines it: f, cx, cy, k",
+        "about": "OpenCV cameras, metres, z up; pixel centres at +0.5; "
+        "SIMPLE_RADIAL as COLMAP defines it: f, cx, cy, k",
         "seed": seed,
         "width": WIDTH,
         "height": HEIGHT,
@@ -161,7 +162,7 @@ def radiance_of(scene: mi.Scene, shot: Shot, spp: int, seed: int, cache: Path) -
             np.save(file, radiance)
         part.rename(path)
         print(
-            f"{shot.name}: {spp} spp, wall {time.perf_counter() - started:.1f} s, cpu {time.process_time():.0f} s so far",
+            f"{shot.name}: {spp} spp, wall {time.perf_counter() - started:.1f} s, cpu {time.process_time():.0f} s",
             flush=True,
         )
     return np.load(path)

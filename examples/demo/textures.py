@@ -1,7 +1,7 @@
 """Pictures for the surfaces of the demo room, synthesised from a seed.
 
-Every function returns float32 [h, w, 3], sRGB-encoded in [0, 1]. Patterns are made not to repeat (each motif has its own
-place, size and colour): a strictly periodic wallpaper would match itself everywhere and mislead feature matching.
+Every function returns float32 [h, w, 3], sRGB-encoded in [0, 1]. Patterns are made not to repeat (each motif has its
+own place, size and colour): a strictly periodic wallpaper would match itself everywhere and mislead feature matching.
 """
 
 import numpy as np
@@ -238,7 +238,7 @@ def book_spine(rng: Generator, height: int = 256, width: int = 64) -> Picture:
 
 
 def glaze(rng: Generator, height: int = 512, width: int = 1024) -> Picture:
-    """The figure's blue glaze: bands of waves, dots and petals in cyan and deep blue. No other thing in the room is blue."""
+    """The figure's blue glaze: waves, dots and petals in cyan and deep blue. No other thing in the room is blue."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float32)
     runs = fractal_noise(rng, height, width, 8, 16, 5)
     picture = _mix(np.array([0.06, 0.16, 0.46]), np.array([0.12, 0.34, 0.70]), runs).astype(np.float32)
