@@ -5,8 +5,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask
-from inpaint3d.scene.reprojection import reproject_mask, warp_image
+from inpaint3d.scene.reprojection import reproject_mask, sample_bilinear, warp_image
 from inpaint3d.stages.evaluation.photos import Photo
+
+LATTICE = 4  # pixels between the places where sparse depth is interpolated
 
 
 def ring_around(mask: Mask, radius: int) -> Mask:
@@ -43,9 +45,9 @@ def mean_colour(photos: list[Photo]) -> NDArray[np.float32]:
 def interpolated_depth(camera: Camera, points: ArrayLike, neighbours: int = 4) -> NDArray[np.float64] | None:
     """Depth along the axis [h, w] from the sparse points [p, 3] that fall in the picture; None if none does.
 
-    Each pixel takes the mean of its nearest points' inverse depths (a plane is linear in inverse depth),
-    weighted by one over the squared pixel distance. Points of surfaces behind are not told apart from those
-    in front.
+    Each place takes the mean of its nearest points' inverse depths (a plane is linear in inverse depth), weighted by
+    one over the squared pixel distance. Points of surfaces behind are not told apart from those in front. Evaluated at
+    every fourth pixel and bilinear between: the points are sparser still, and the cost is a sixteenth.
     """
     xy, z = camera.project(points)
     seen = camera.inside(xy, z)
@@ -53,14 +55,17 @@ def interpolated_depth(camera: Camera, points: ArrayLike, neighbours: int = 4) -
         return None
     xy, inverse = xy[seen], 1.0 / z[seen]
     k = min(neighbours, len(inverse))
+    coarse = camera.scaled(-(-camera.width // LATTICE), -(-camera.height // LATTICE))
+    scale = np.array([camera.width / coarse.width, camera.height / coarse.height])
     rows = []
-    for pixels in camera.pixel_centres():
+    for pixels in coarse.pixel_centres() * scale:
         squared = ((pixels[:, None] - xy[None]) ** 2).sum(-1)
         nearest = np.argpartition(squared, k - 1, axis=1)[:, :k]
         # one pixel of slack: a point in the very centre of a pixel must not divide by zero
         weight = 1.0 / (np.take_along_axis(squared, nearest, 1) + 1.0)
-        rows.append(weight.sum(1) / (weight * inverse[nearest]).sum(1))
-    return np.stack(rows)
+        rows.append((weight * inverse[nearest]).sum(1) / weight.sum(1))
+    between = sample_bilinear(np.stack(rows)[..., None], camera.pixel_centres() / scale)[..., 0]
+    return 1.0 / between.astype(np.float64)
 
 
 def nearest_photo_warped(camera: Camera, depth: ArrayLike, photos: list[Photo], fallback: ArrayLike) -> Image:
