@@ -79,7 +79,7 @@ class Config(Closed):
     witnesses: Count = Field(
         default=2, description="other views that must know a masked surface for it to be left alone"
     )
-    distill_every: Count = Field(default=1, description="steps from one distilled patch to the next; 1 in the paper")
+    distill_every: Count = Field(default=2, description="steps from one distilled patch to the next; 1 in the paper")
     weight: Positive = Field(default=0.1, description="peak weight of the distillation term (S6)")
     weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
     weight_decay_to: Share = Field(default=1.0, description="cosine decay to this share of the peak (S13)")
@@ -92,7 +92,8 @@ class Config(Closed):
     centre_steps: Steps = Field(default=50, description="distillation steps on the centre views only (S8)")
     centre_views: Count = Field(default=3, description="how many views the centre phase uses (S8)")
     diffuse_start: bool = Field(
-        default=True, description="the prior sees diffuse colour first (S10); off without view-dependent colour"
+        default=False,
+        description="the prior sees diffuse colour first (S10); True in the paper; no effect without specular colour",
     )
     span_first: Share = Field(default=0.75, description="side of the first windows, share of the short side (S1)")
     span_last: Share = Field(default=0.5, description="side of the last windows, share of the short side (S1)")
