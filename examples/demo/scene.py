@@ -59,21 +59,6 @@ def panel(place: Transform, half_x: float, half_y: float, **extra: dict) -> dict
     return {"type": "rectangle", "to_world": place @ T().scale([half_x, half_y, 1]), **extra}
 
 
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals [n, 3], each the mean of its faces' weighed by their angles there; zero where all have no area."""
-    corners = vertices[faces].astype(np.float64)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    across /= np.where(length > 0, length, 1)
-    normals = np.zeros(vertices.shape)
-    for i in range(3):
-        one, other = corners[:, i - 2] - corners[:, i], corners[:, i - 1] - corners[:, i]
-        angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=-1), (one * other).sum(-1))
-        np.add.at(normals, faces[:, i], across * angle[:, None])
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return (normals / np.where(length > 0, length, 1)).astype(np.float32)
-
-
 def surface(
     point: Callable[[np.ndarray, np.ndarray], np.ndarray], bsdf: mi.BSDF, nu: int = 96, nv: int = 48
 ) -> mi.Mesh:
@@ -94,9 +79,7 @@ def surface(
     parameters["vertex_texcoords"] = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32).ravel()
     parameters["faces"] = faces.ravel()
     parameters.update()
-    # Mitsuba sums normals with unordered atomic adds, which differ in their last bits from run to run.
-    parameters["vertex_normals"] = vertex_normals(vertices, faces).ravel()
-    parameters.update()
+    mesh.recompute_vertex_normals()
     return mesh
 
 
