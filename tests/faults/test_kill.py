@@ -26,7 +26,10 @@ def test_kill_9_then_run_again(cli, capture, seed):
 def test_sigterm_stops_the_stages_and_the_next_run_goes_on(cli, capture):
     arguments = ("run", str(capture), "--stub", "--until", "nerf-pretraining")
     process = cli.start(*arguments)
-    time.sleep(1.0)
+    # Before the run has its record it is still being planned, and SIGTERM ends it like any other process.
+    while not list((cli.store / "runs").glob("tiny/*.json")):
+        assert process.poll() is None, "the run ended before it began"
+        time.sleep(0.05)
     process.terminate()
     assert process.wait(timeout=60) in (0, 143)
     assert cli(*arguments).returncode == 0
