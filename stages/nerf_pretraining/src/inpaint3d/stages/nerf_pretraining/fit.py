@@ -121,7 +121,7 @@ class Tally:
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """From a checkpoint."""
-        self.curve = tensors["curve"].tolist()
+        self.curve = [[int(step), int(rays), *rest] for step, rays, *rest in tensors["curve"].tolist()]
         rays, steps, self.loss = tensors["open_row"].tolist()
         self.rays, self.steps = int(rays), int(steps)
 
