@@ -83,6 +83,13 @@ def test_the_learning_curve_and_the_terms_are_in_the_artifact(store: Store, inpu
     assert [float(r["specular_scale"]) for r in terms] == [0.5, 1.0, 1.0]
 
 
+def test_the_push_of_the_prior_is_logged_where_not_every_step_distils(store: Store, inputs: Wired) -> None:
+    result = optimised(store, inputs(), distill_every=2, warmup_steps=0, steps=9)
+    measured = [r["distillation_over_reconstruction"] for r in rows(result.path("terms.csv"))]
+    assert len(measured) == 2
+    assert all(measured)
+
+
 def test_without_a_prior_no_distillation_is_logged(store: Store, inputs: Wired) -> None:
     wired = inputs()
     del wired["diffusion-prior"]

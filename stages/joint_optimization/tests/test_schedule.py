@@ -8,6 +8,7 @@ from inpaint3d.stages.joint_optimization.schedule import (
     centre_views_only,
     distillation_weight,
     specular_scale,
+    terms_due,
     timestep_range,
     window_span,
 )
@@ -69,3 +70,12 @@ def test_window_narrows_geometrically() -> None:
     spans = [window_span(k, 101, first=0.8, last=0.2) for k in (0, 50, 100, 500)]
     assert spans == pytest.approx([0.8, 0.4, 0.2, 0.2])
     assert window_span(0, 1, first=0.7, last=0.3) == 0.7
+
+
+def test_gradients_are_measured_on_steps_that_distil() -> None:
+    """L8: with every second step distilled, a plain multiple of 50 would never meet one."""
+    due = [s for s in range(400) if terms_due(s, s, 50, 2)]
+    assert len(due) == 7
+    assert all(s % 2 == 0 for s in due)
+    assert [s + 1 for s in range(20) if terms_due(s, s - 2, 4, 1)] == [4, 8, 12, 16, 20]
+    assert [s + 1 for s in range(200) if terms_due(s, -1, 50, 2)] == [50, 100, 150, 200]

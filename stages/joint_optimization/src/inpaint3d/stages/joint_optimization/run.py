@@ -33,6 +33,7 @@ from inpaint3d.stages.joint_optimization.schedule import (
     centre_views_only,
     distillation_weight,
     specular_scale,
+    terms_due,
     timestep_range,
     window_span,
 )
@@ -188,7 +189,8 @@ def optimise(
         anneal = proposal_anneal(step, config.proposal_anneal_steps) if fresh else 1.0
         terms = step_terms(field, batch, distilled, weight, config, anneal=anneal, generator=generator)
         last = step + 1 == config.steps
-        norms = gradient_norms(field, terms) if last or (step + 1) % config.terms_every == 0 else None
+        due = terms_due(step, -1 if guide is None else since, config.terms_every, config.distill_every)
+        norms = gradient_norms(field, terms) if last or due else None
         rate = learning_rate(
             step,
             initial=config.learning_rate,

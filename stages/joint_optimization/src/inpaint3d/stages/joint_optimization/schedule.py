@@ -56,3 +56,15 @@ def window_span(since: int, total: int, *, first: float, last: float) -> float:
     """Side of the distilled window as a share of the picture's short side (S1): geometric from `first` to `last`."""
     along = min(1.0, max(0.0, since / max(1, total - 1)))
     return first * (last / first) ** along
+
+
+def terms_due(step: int, since: int, every: int, distill_every: int) -> bool:
+    """Whether the gradients of the terms are measured (L8): every `every` steps, or at the next one that distils.
+
+    `since` is negative throughout where no prior is used. A plain multiple would miss every distilled step where
+    `every` and `distill_every` have a factor in common.
+    """
+    done = step + 1
+    if since < 0:
+        return done % every == 0
+    return since % distill_every == 0 and done >= every and done % every < distill_every
