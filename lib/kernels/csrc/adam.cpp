@@ -13,8 +13,9 @@ void adam(float* param, const float* grad, float* m, float* v, int64_t count, Ad
     const Adam a = adam;
 #pragma GCC ivdep
     for (int64_t i = block * kBlock; i < end; ++i) {
-      const float first = m[i] + (1.0f - a.beta1) * (grad[i] - m[i]);
-      const float second = a.beta2 * v[i] + (1.0f - a.beta2) * grad[i] * grad[i];
+      const float slope = grad[i] + a.decay * param[i];
+      const float first = m[i] + (1.0f - a.beta1) * (slope - m[i]);
+      const float second = a.beta2 * v[i] + (1.0f - a.beta2) * slope * slope;
       m[i] = first;
       v[i] = second;
       param[i] -= a.step_size * first / (__builtin_sqrtf(second) * a.inverse_spread + a.eps);

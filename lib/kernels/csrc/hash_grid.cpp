@@ -199,56 +199,7 @@ constexpr Forward kForward[8] = {forward<1>, forward<2>, forward<3>, forward<4>,
 constexpr Forward kBackward[8] = {backward<1>, backward<2>, backward<3>, backward<4>,
                                   backward<5>, backward<6>, backward<7>, backward<8>};
 
-// The squares of numbers: in lanes of float over a run that is short enough for them, then in double.
-inline double sum_of_squares(const float* values, int64_t count) {
-  constexpr int64_t kRun = 4096;
-  double total = 0.0;
-  for (int64_t start = 0; start < count; start += kRun) {
-    const int64_t end = start + kRun < count ? start + kRun : count;
-    Floats sums{};
-    int64_t i = start;
-    for (; i + kLanes <= end; i += kLanes) {
-      const Floats value = load<Floats>(values + i);
-      sums += value * value;
-    }
-    for (int lane = 0; lane < kLanes; ++lane) total += sums[lane];
-    for (; i < end; ++i) total += values[i] * values[i];
-  }
-  return total;
-}
-
-constexpr int64_t kSquares = 1 << 16;  // numbers of a task
-
 }  // namespace
-
-void mean_squares(const float* table, Grid grid, double* level_means, int threads) {
-  for (int index = 0; index < grid.level_count; ++index) {
-    const Level& level = grid.levels[index];
-    const float* values = table + level.offset * grid.channels;
-    const int64_t count = int64_t{level.size} * grid.channels, tasks = (count + kSquares - 1) / kSquares;
-    double* sums = new double[tasks];
-    parallel_for(tasks, threads, [&](int64_t task) {
-      const int64_t start = task * kSquares;
-      sums[task] = sum_of_squares(values + start, count - start < kSquares ? count - start : kSquares);
-    });
-    double total = 0.0;
-    for (int64_t task = 0; task < tasks; ++task) total += sums[task];
-    delete[] sums;
-    level_means[index] = total / static_cast<double>(count);
-  }
-}
-
-void mean_squares_backward(const float* table, Grid grid, double out_grad, float* table_grad, int threads) {
-  for (int index = 0; index < grid.level_count; ++index) {
-    const Level& level = grid.levels[index];
-    const int64_t start = level.offset * grid.channels, count = int64_t{level.size} * grid.channels;
-    const float scale = static_cast<float>(2.0 * out_grad / static_cast<double>(count));
-    parallel_for((count + kSquares - 1) / kSquares, threads, [&](int64_t task) {
-      const int64_t end = count < (task + 1) * kSquares ? count : (task + 1) * kSquares;
-      for (int64_t i = start + task * kSquares; i < start + end; ++i) table_grad[i] = scale * table[i];
-    });
-  }
-}
 
 void hash_forward(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads) {
   kForward[grid.channels - 1](points, count, table, grid, out, threads);

@@ -26,6 +26,7 @@ struct Adam {
   float step_size;        // learning rate / (1 - beta1^step)
   float inverse_spread;   // 1 / sqrt(1 - beta2^step)
   float beta1, beta2, eps;
+  float decay;            // each number's gradient grows by decay times the number
 };
 
 // Intervals along rays: density and rgb at [count, samples], interval ends tdist [count, samples + 1].
@@ -64,8 +65,6 @@ struct Kernels {
   void (*hash_backward)(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
                         int threads);
   // The mean square of each level's numbers, and the gradient of their sum (overwrites the levels' entries).
-  void (*mean_squares)(const float* table, Grid grid, double* level_means, int threads);
-  void (*mean_squares_backward)(const float* table, Grid grid, double out_grad, float* table_grad, int threads);
   void (*mlp_forward)(const float* x, int64_t count, Network net, float* out, int threads);
   // x_grad may be null.
   void (*mlp_backward)(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad,

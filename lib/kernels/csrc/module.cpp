@@ -86,28 +86,6 @@ void hash_backward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> out_grad, const 
   run(points.data(), static_cast<int64_t>(points.shape(0)), out_grad.data(), grid, table_grad.data(), threads);
 }
 
-double mean_squares(In<nb::ndim<2>> table, const std::vector<LevelTuple>& levels, int threads) {
-  const auto laid_out = checked_levels(levels, static_cast<int64_t>(table.shape(0)));
-  const Grid grid = checked_grid(laid_out, table.shape(1), laid_out.size() * table.shape(1));
-  check_threads(threads);
-  const auto run = active().mean_squares;
-  std::vector<double> means(laid_out.size());
-  nb::gil_scoped_release release;
-  run(table.data(), grid, means.data(), threads);
-  return std::accumulate(means.begin(), means.end(), 0.0);
-}
-
-void mean_squares_backward(In<nb::ndim<2>> table, const std::vector<LevelTuple>& levels, double out_grad,
-                           Out<nb::ndim<2>> table_grad, int threads) {
-  const auto laid_out = checked_levels(levels, static_cast<int64_t>(table.shape(0)));
-  const Grid grid = checked_grid(laid_out, table.shape(1), laid_out.size() * table.shape(1));
-  require(table_grad.shape(0) == table.shape(0) && table_grad.shape(1) == table.shape(1), "table_grad must have the shape of table");
-  check_threads(threads);
-  const auto run = active().mean_squares_backward;
-  nb::gil_scoped_release release;
-  run(table.data(), grid, out_grad, table_grad.data(), threads);
-}
-
 // A network's arrays, checked, as the kernels take them.
 struct CheckedNetwork {
   std::vector<int64_t> width;
@@ -231,14 +209,15 @@ void resample(In<nb::ndim<2>> sdist, In<nb::ndim<2>> weights, std::optional<In<n
 }
 
 void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, int64_t step,
-          double lr, double beta1, double beta2, double eps, int threads) {
+          double lr, double beta1, double beta2, double eps, double decay, int threads) {
   const size_t count = param.shape(0);
   require(grad.shape(0) == count && m.shape(0) == count && v.shape(0) == count, "param, grad, m and v must have the same size");
   require(step >= 1, "steps count from 1, not " + std::to_string(step));
   const auto exponent = static_cast<double>(step);
   const Adam settings{static_cast<float>(lr / (1.0 - std::pow(beta1, exponent))),
                       static_cast<float>(1.0 / std::sqrt(1.0 - std::pow(beta2, exponent))),
-                      static_cast<float>(beta1), static_cast<float>(beta2), static_cast<float>(eps)};
+                      static_cast<float>(beta1), static_cast<float>(beta2), static_cast<float>(eps),
+                      static_cast<float>(decay)};
   const auto run = active().adam;
   check_threads(threads);
   nb::gil_scoped_release release;
@@ -260,9 +239,6 @@ NB_MODULE(_native, module) {
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("hash_backward", &hash_backward, "points"_a.noconvert(), "out_grad"_a.noconvert(), "levels"_a,
              "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("mean_squares", &mean_squares, "table"_a.noconvert(), "levels"_a, nb::kw_only(), "threads"_a = 1);
-  module.def("mean_squares_backward", &mean_squares_backward, "table"_a.noconvert(), "levels"_a, "out_grad"_a,
-             "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("mlp_forward", &mlp_forward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out"_a.noconvert(),
              nb::kw_only(), "threads"_a = 1);
   module.def("mlp_backward", &mlp_backward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out_grad"_a.noconvert(),
@@ -277,5 +253,5 @@ NB_MODULE(_native, module) {
   module.def("resample", &resample, "sdist"_a.noconvert(), "weights"_a.noconvert(), "jitter"_a.noconvert().none(),
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(),
-             nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "threads"_a = 1);
+             nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "decay"_a = 0.0, "threads"_a = 1);
 }

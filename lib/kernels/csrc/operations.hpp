@@ -12,8 +12,6 @@ namespace inpaint3d::INPAINT3D_ISA {
 void hash_forward(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
 void hash_backward(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
                    int threads);
-void mean_squares(const float* table, Grid grid, double* level_means, int threads);
-void mean_squares_backward(const float* table, Grid grid, double out_grad, float* table_grad, int threads);
 void mlp_forward(const float* x, int64_t count, Network net, float* out, int threads);
 void mlp_backward(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad, NetworkGrad grad,
                   int threads);

@@ -6,8 +6,7 @@
 
 namespace inpaint3d::INPAINT3D_ISA {
 
-const Kernels kKernels = {INPAINT3D_NAME(INPAINT3D_ISA), hash_forward, hash_backward, mean_squares,
-                          mean_squares_backward, mlp_forward, mlp_backward,
+const Kernels kKernels = {INPAINT3D_NAME(INPAINT3D_ISA), hash_forward, hash_backward, mlp_forward, mlp_backward,
                           composite_forward, composite_backward, resample, adam};
 
 }  // namespace inpaint3d::INPAINT3D_ISA

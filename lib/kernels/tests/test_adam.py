@@ -4,8 +4,9 @@ import pytest
 from inpaint3d import kernels
 
 
-def adam(param, grad, m, v, step, lr, beta1, beta2, eps):
-    """Algorithm 1 of arXiv:1412.6980, in float64."""
+def adam(param, grad, m, v, step, lr, beta1, beta2, eps, decay):
+    """Algorithm 1 of arXiv:1412.6980, in float64; line 4 with f(param) + decay / 2 * param^2."""
+    grad = grad + decay * param
     m = beta1 * m + (1 - beta1) * grad
     v = beta2 * v + (1 - beta2) * grad**2
     return param - lr * (m / (1 - beta1**step)) / (np.sqrt(v / (1 - beta2**step)) + eps), m, v
@@ -13,7 +14,8 @@ def adam(param, grad, m, v, step, lr, beta1, beta2, eps):
 
 @pytest.mark.parametrize("isa", kernels.isas())
 @pytest.mark.parametrize("count", [0, 1, 31, 70001])
-def test_twenty_steps_follow_the_algorithm(isa, count):
+@pytest.mark.parametrize("decay", [0.0, 1e-3])
+def test_twenty_steps_follow_the_algorithm(isa, count, decay):
     rng = np.random.default_rng(count)
     state = [rng.standard_normal(count), np.zeros(count), np.zeros(count)]
     param, m, v = (np.array(part, np.float32) for part in state)
@@ -22,8 +24,8 @@ def test_twenty_steps_follow_the_algorithm(isa, count):
     for step in range(1, 21):
         # Gradients over twelve decades: the step's size must not depend on theirs.
         grad = (rng.standard_normal(count) * 10.0 ** rng.integers(-12, 1, count)).astype(np.float32)
-        kernels.adam(param, grad, m, v, step=step, lr=1e-2, beta1=0.9, beta2=0.99, eps=1e-15, threads=2)
-        state = list(adam(state[0], grad.astype(np.float64), *state[1:], step, 1e-2, 0.9, 0.99, 1e-15))
+        kernels.adam(param, grad, m, v, step=step, lr=1e-2, beta1=0.9, beta2=0.99, eps=1e-15, decay=decay, threads=2)
+        state = list(adam(state[0], grad.astype(np.float64), *state[1:], step, 1e-2, 0.9, 0.99, 1e-15, decay))
     kernels.set_isa(before)
     np.testing.assert_allclose(param, state[0], atol=2e-6)  # 20 roundings of numbers up to 4
     np.testing.assert_allclose(v, state[2], rtol=1e-5)

@@ -77,23 +77,6 @@ def test_bits_do_not_depend_on_threads(isa):
     assert all(np.array_equal(grads[0], other) for other in grads[1:])
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_mean_squares_and_their_gradient(isa, channels):
-    rng = np.random.default_rng(0)
-    levels = [(40, 0, 68921, True), (99, 68925, 256, False)]
-    table = (1e-3 * rng.standard_normal((69200, channels))).astype(np.float32)
-    parts = [slice(0, 68921), slice(68925, 68925 + 256)]
-    exact = sum(np.mean(np.square(table[part], dtype=np.float64)) for part in parts)
-    assert kernels.mean_squares(table, levels) == pytest.approx(exact, rel=1e-6)
-    assert kernels.mean_squares(table, levels, threads=2) == kernels.mean_squares(table, levels)
-    grad = np.full_like(table, 7)
-    kernels.mean_squares_backward(table, levels, 3.0, grad, threads=2)
-    truth = np.full(table.shape, 7.0)
-    for part in parts:
-        truth[part] = 3.0 * 2 * table[part] / table[part].size
-    np.testing.assert_allclose(grad, truth, rtol=1e-6)
-
-
 def test_points_outside_extrapolate_the_border_cell_and_nan_shows(isa):
     table = np.arange(8, dtype=np.float32)[:, None]  # one cell: x + 2 y + 4 z
     points = np.array([[1.5, 0.25, -1], [3e38, 0, 0], [np.nan, 0, 0]], np.float32)

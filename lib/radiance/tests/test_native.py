@@ -101,17 +101,6 @@ def test_hash_encode_in_float64_is_the_reference():
     assert torch.equal(native.hash_encode(points, table, levels), reference.hash_encode(points, table, levels))
 
 
-@pytest.mark.parametrize("first", [0, 1])  # 1: the table has entries of no level
-def test_mean_squares_equal_the_reference(isa, threads, first):
-    levels = levels_of(4, 4, 61, 15)
-    table = 1e-3 * normal(levels[-1].offset + levels[-1].size, 2)
-    weight = torch.tensor(0.1)
-    outs, grads = gradients(lambda table: native.mean_squares(table, levels[first:]), [table], [weight])
-    truths, exact = gradients(lambda table: reference.mean_squares(table, levels[first:]), [table.double()], [weight])
-    torch.testing.assert_close(outs[0], truths[0].float())
-    torch.testing.assert_close(grads[0], exact[0].float())
-
-
 def network(*widths, bias):
     weights = [normal(o, i, seed=o) / i**0.5 for i, o in itertools.pairwise(widths)]
     return weights, [normal(o, seed=o) for o in widths[1:]] if bias else None
@@ -259,14 +248,15 @@ def test_resample_takes_a_jitter_of_any_size(isa):
 
 
 @pytest.mark.parametrize("shape", [(0,), (7,), (33, 5), (70000,)])
-def test_adam_equals_the_reference(isa, threads, shape):
+@pytest.mark.parametrize("decay", [0.0, 1e-3])
+def test_adam_equals_the_reference(isa, threads, shape, decay):
     params = [normal(*shape), normal(*shape).double()]
     moments = [[torch.zeros_like(p), torch.zeros_like(p)] for p in params]
     for step in range(1, 11):
         # Magnitudes from 1e-9 to 1: Adam's step must not depend on them.
         grad = normal(*shape, seed=step) * 10 ** (-9 * uniform(*shape, seed=step))
         for backend, param, (m, v) in zip((native, reference), params, moments, strict=True):
-            backend.adam_step(param, grad.to(param.dtype), m, v, step, 1e-2, 0.9, 0.99, 1e-15)
+            backend.adam_step(param, grad.to(param.dtype), m, v, step, 1e-2, 0.9, 0.99, 1e-15, decay)
     torch.testing.assert_close(params[0], params[1].float(), atol=2e-6, rtol=0)
     torch.testing.assert_close(moments[0][1], moments[1][1].float(), rtol=1e-5, atol=0)
 

@@ -41,7 +41,7 @@ def pixels(known: list[np.ndarray | None] | None = None) -> Pixels:
 def step(field: RadianceField, optimizer: Adam, source: Pixels, generator: torch.Generator) -> dict[str, float]:
     rays, target = source.draw(32, generator)
     seen = render(field, rays, generator=generator)
-    terms = {"reconstruction": reconstruction(seen, target), **regularisers(field, seen, LossWeights())}
+    terms = {"reconstruction": reconstruction(seen, target), **regularisers(seen, LossWeights())}
     return descend(field, optimizer, terms, learning_rate(optimizer.steps), {})
 
 
@@ -113,8 +113,8 @@ def test_steps_lower_the_loss_and_move_every_weight() -> None:
 def test_a_term_of_weight_zero_is_not_computed() -> None:
     field, source = RadianceField(SPEC, 0), pixels()
     seen = render(field, source.draw(8, torch.Generator().manual_seed(0))[0])
-    assert regularisers(field, seen, LossWeights(interlevel=0.0, distortion=0.0, hash_decay=0.0)) == {}
-    assert set(regularisers(field, seen, LossWeights())) == {"interlevel", "distortion", "hash_decay"}
+    assert regularisers(seen, LossWeights(interlevel=0.0, distortion=0.0)) == {}
+    assert set(regularisers(seen, LossWeights())) == {"interlevel", "distortion"}
 
 
 def test_non_finite_values_are_counted_located_and_stop_the_run() -> None:

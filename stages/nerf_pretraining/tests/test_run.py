@@ -24,6 +24,7 @@ from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.store import Artifact, Record, Store
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
+from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels, psnr
 from inpaint3d.scene.capture_io import load_posed, write_points, write_view
 from inpaint3d.scene.image_io import read_exr
@@ -31,7 +32,6 @@ from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import fit
 from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
-from inpaint3d.stages.nerf_pretraining.run import field_spec
 
 TEST_VIEWS = (3, 7, 11)
 SMALL: dict[str, Any] = {
@@ -163,7 +163,9 @@ def test_stopped_it_goes_on_as_if_nothing_had_happened(store: Store, tmp_path: P
     config = Config.model_validate(TINY)
     views = load_posed(capture)
     pixels = Pixels.of([v.camera for v in views], [v.image() for v in views], [v.valid() for v in views])
-    spec = field_spec(config.architecture, capture, effects, len(views))
+    centre_depth = capture.metadata.centre_depth
+    points = np.zeros((0, 3), np.float32)
+    spec = field_spec(config.architecture, effects, views=len(views), centre_depth=centre_depth, points=points)
 
     def fitted_in(folder: str, *, stop: bool = False) -> tuple[RadianceField, list[list[float]]]:
         def emit(event: str, **values: Any) -> None:

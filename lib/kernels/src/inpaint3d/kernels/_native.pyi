@@ -26,14 +26,6 @@ def hash_backward(
     Entries of no level keep what they hold.
     """
 
-def mean_squares(table: Array, levels: Sequence[Level], *, threads: int = 1) -> float:
-    """Sum over the levels of the mean square of their numbers in table [entries, c]."""
-
-def mean_squares_backward(
-    table: Array, levels: Sequence[Level], out_grad: float, table_grad: Array, *, threads: int = 1
-) -> None:
-    """Write out_grad times the gradient of mean_squares to table_grad [entries, c]; no level's entries keep theirs."""
-
 def mlp_forward(x: Array, weights: Sequence[Array], biases: Sequence[Array], out: Array, *, threads: int = 1) -> None:
     """Write the network's output for x [n, i] to out [n, o]: weights [out, in], ReLU between layers, the last linear.
 
@@ -102,6 +94,10 @@ def adam(
     beta1: float,
     beta2: float,
     eps: float,
+    decay: float = 0.0,
     threads: int = 1,
 ) -> None:
-    """One step of Adam in place on flat param, m and v [n]; `step` counts from 1. Denormal moments become zero."""
+    """One step of Adam in place on flat param, m and v [n]; `step` counts from 1. Denormal moments become zero.
+
+    decay: the gradient is grad + decay * param.
+    """

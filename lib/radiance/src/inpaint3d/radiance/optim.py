@@ -21,10 +21,27 @@ def learning_rate(
 
 
 class Adam(torch.optim.Optimizer):
-    """Adam with the field's backend. Each group has `lr` and its `lr_scale`; the state is m, v, and one step count."""
+    """Adam with the field's backend. Each group has `lr` and its `lr_scale`; the state is m, v, and one step count.
 
-    def __init__(self, field: RadianceField, groups: list[dict[str, Any]], betas: tuple[float, float], eps: float):
+    What it descends is the loss whose gradient it finds, and `hash_decay` times `losses.hash_decay` (N9).
+    """
+
+    def __init__(
+        self,
+        field: RadianceField,
+        groups: list[dict[str, Any]],
+        betas: tuple[float, float],
+        eps: float,
+        hash_decay: float,
+    ) -> None:
         self._field = field
+        self._parts = {
+            id(grid.table): [
+                (slice(level.offset, level.offset + level.size), 2 * hash_decay / (level.size * grid.table.shape[1]))
+                for level in grid.levels
+            ]
+            for grid in (field.proposal, field.base)
+        }
         self.steps = 0
         super().__init__(groups, {"lr": 1e-2, "lr_scale": 1.0, "betas": betas, "eps": eps})
 
@@ -49,18 +66,29 @@ class Adam(torch.optim.Optimizer):
         for group in self.param_groups:
             for param in group["params"]:
                 if param.grad is not None:
-                    m, v = self.moments(param)
-                    beta1, beta2 = group["betas"]
-                    self._field.backend.adam_step(
-                        param, param.grad, m, v, self.steps, group["lr"], beta1, beta2, group["eps"]
-                    )
+                    self._move(param, param.grad, group)
+
+    def _move(self, param: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
+        m, v = self.moments(param)
+        settings = (self.steps, group["lr"], *group["betas"], group["eps"])
+        # A level's mean square weighs each of its entries by one over their number: the levels decay apart.
+        for part, decay in self._parts.get(id(param), [(slice(None), 0.0)]):
+            self._field.backend.adam_step(param[part], grad[part], m[part], v[part], *settings, decay)
 
 
 def make_optimizer(
-    field: RadianceField, *, network_scale: float = 1.0, betas: tuple[float, float] = BETAS, eps: float = EPS
+    field: RadianceField,
+    *,
+    network_scale: float = 1.0,
+    hash_decay: float = 0.0,
+    betas: tuple[float, float] = BETAS,
+    eps: float = EPS,
 ) -> Adam:
-    """Adam whose networks (all but the tables) learn at `network_scale` of the rate; `set_rate` before each step."""
+    """Adam whose networks (all but the tables) learn at `network_scale` of the rate; `set_rate` before each step.
+
+    hash_decay: weight of the tables' decay (N9).
+    """
     tables = [field.proposal.table, field.base.table]
     chosen = {id(t) for t in tables}
     networks = [p for p in field.parameters() if id(p) not in chosen]
-    return Adam(field, [{"params": tables}, {"params": networks, "lr_scale": network_scale}], betas, eps)
+    return Adam(field, [{"params": tables}, {"params": networks, "lr_scale": network_scale}], betas, eps, hash_decay)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from inpaint3d.contracts.errors import Inpaint3dError
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.losses import charbonnier, distortion_loss, hash_decay, interlevel_loss
+from inpaint3d.radiance.losses import charbonnier, distortion_loss, interlevel_loss
 from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.rays import CameraStack, Rays
 from inpaint3d.radiance.rendering import Rendering
@@ -61,23 +61,20 @@ class Pixels:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the terms (paper, appendix; conformance L3, N9)."""
+    """Weights of the terms (paper, appendix; conformance L3)."""
 
     reconstruction: float = 1.0
     interlevel: float = 1.0
     distortion: float = 0.005
-    hash_decay: float = 0.1
 
 
-def regularisers(field: RadianceField, rendering: Rendering, weights: LossWeights) -> dict[str, Tensor]:
+def regularisers(rendering: Rendering, weights: LossWeights) -> dict[str, Tensor]:
     """The weighted terms that need no photograph; a term of weight 0 is left out, not computed."""
     terms: dict[str, Tensor] = {}
     if weights.interlevel and rendering.proposals:
         terms["interlevel"] = weights.interlevel * interlevel_loss(rendering)
     if weights.distortion:
         terms["distortion"] = weights.distortion * distortion_loss(rendering)
-    if weights.hash_decay:
-        terms["hash_decay"] = weights.hash_decay * hash_decay(field)
     return terms
 
 

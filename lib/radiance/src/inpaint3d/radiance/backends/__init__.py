@@ -27,8 +27,6 @@ class Backend(Protocol):
     @staticmethod
     def hash_encode(points: Tensor, table: Tensor, levels: Sequence[Level]) -> Tensor: ...
     @staticmethod
-    def mean_squares(table: Tensor, levels: Sequence[Level]) -> Tensor: ...
-    @staticmethod
     def mlp(x: Tensor, weights: Sequence[Tensor], biases: Sequence[Tensor] | None = None) -> Tensor: ...
     @staticmethod
     def composite(density: Tensor, rgb: Tensor, tdist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
@@ -36,7 +34,16 @@ class Backend(Protocol):
     def resample(sdist: Tensor, weights: Tensor, count: int, jitter: Tensor | None = None) -> Tensor: ...
     @staticmethod
     def adam_step(
-        param: Tensor, grad: Tensor, m: Tensor, v: Tensor, step: int, lr: float, beta1: float, beta2: float, eps: float
+        param: Tensor,
+        grad: Tensor,
+        m: Tensor,
+        v: Tensor,
+        step: int,
+        lr: float,
+        beta1: float,
+        beta2: float,
+        eps: float,
+        decay: float = 0.0,
     ) -> None: ...
 
 

@@ -17,7 +17,7 @@ from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
 
-__all__ = ["adam_step", "composite", "hash_encode", "mean_squares", "mlp", "resample"]
+__all__ = ["adam_step", "composite", "hash_encode", "mlp", "resample"]
 
 
 def supported(*tensors: Tensor) -> bool:
@@ -68,34 +68,6 @@ def _gradient_of(shape: torch.Size, levels: Sequence[Level], like: Tensor) -> Te
     if sum(level.size for level in levels) == shape[0]:
         return like.new_empty(shape)
     return like.new_zeros(shape)
-
-
-class _MeanSquares(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, table: Tensor, levels: Sequence[Level]) -> Tensor:
-        table = table.contiguous()
-        ctx.save_for_backward(table)
-        ctx.levels = levels
-        return table.new_tensor(kernels.mean_squares(table.numpy(), levels, threads=torch.get_num_threads()))
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
-        ctx: Any, *grad_outputs: Tensor
-    ) -> tuple[Tensor, None]:
-        (table,) = ctx.saved_tensors
-        table_grad = _gradient_of(table.shape, ctx.levels, table)
-        kernels.mean_squares_backward(
-            table.numpy(), ctx.levels, float(grad_outputs[0]), table_grad.numpy(), threads=torch.get_num_threads()
-        )
-        return table_grad, None
-
-
-def mean_squares(table: Float[Tensor, "entries c"], levels: Sequence[Level]) -> Float[Tensor, ""]:
-    """`reference.mean_squares`."""
-    if table.shape[1] > 8 or not supported(table):
-        return reference.mean_squares(table, levels)
-    return _MeanSquares.apply(table, levels)
 
 
 class _Mlp(torch.autograd.Function):
@@ -224,6 +196,7 @@ def adam_step(
     beta1: float,
     beta2: float,
     eps: float,
+    decay: float = 0.0,
 ) -> None:
     """`reference.adam_step` in one pass; denormal moments become zero.
 
@@ -231,7 +204,7 @@ def adam_step(
     """
     in_place = (param, m, v)
     if not supported(grad, *in_place) or not all(tensor.is_contiguous() for tensor in in_place):
-        reference.adam_step(param, grad, m, v, step, lr, beta1, beta2, eps)
+        reference.adam_step(param, grad, m, v, step, lr, beta1, beta2, eps, decay)
         return
     kernels.adam(
         param.detach().view(-1).numpy(),
@@ -243,5 +216,6 @@ def adam_step(
         beta1=beta1,
         beta2=beta2,
         eps=eps,
+        decay=decay,
         threads=torch.get_num_threads(),
     )

@@ -56,12 +56,6 @@ def hash_encode(
     return torch.cat(features).T
 
 
-def mean_squares(table: Float[Tensor, "entries c"], levels: Sequence[Level]) -> Float[Tensor, ""]:
-    """Sum over the levels of the mean square of their entries: the weight decay of a grid (conformance N9)."""
-    parts = [table[level.offset : level.offset + level.size] for level in levels]
-    return torch.stack([part.square().mean() for part in parts]).sum()
-
-
 def mlp(
     x: Float[Tensor, "n i"],
     weights: Sequence[Float[Tensor, "_ _"]],
@@ -131,8 +125,14 @@ def adam_step(
     beta1: float,
     beta2: float,
     eps: float,
+    decay: float = 0.0,
 ) -> None:
-    """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v; `step` counts from 1."""
+    """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v; `step` counts from 1.
+
+    decay: what is descended has decay / 2 * |param|^2 added to it.
+    """
+    if decay:
+        grad = grad + decay * param
     m.lerp_(grad, 1 - beta1)
     v.mul_(beta2).addcmul_(grad, grad, value=1 - beta2)
     divisor = (v / (1 - beta2**step)).sqrt_().add_(eps)

@@ -11,7 +11,7 @@ from inpaint3d.radiance.artifact import CURVE_COLUMNS, write_curve, write_table
 TERMS = ("reconstruction", "interlevel", "distortion", "hash_decay", "depth", "distillation")
 TERM_COLUMNS = (
     "step",
-    *(f"loss_{name}" for name in TERMS if name != "distillation"),
+    *(f"loss_{name}" for name in TERMS if name not in ("distillation", "hash_decay")),
     *(f"gradient_{name}" for name in TERMS),
     "distillation_over_reconstruction",
     "weight",

@@ -31,7 +31,9 @@ def step_terms(
     anneal: float,
     generator: torch.Generator | None,
 ) -> Terms:
-    """The weighted terms; their sum is what the step descends. `weight` is that of distillation at this step (S6).
+    """The weighted terms; what the step descends is their sum and the tables' decay, which the optimiser adds (N9).
+
+    `weight` is that of distillation at this step (S6).
 
     generator jitters the samples along rays; None centres them.
 
@@ -52,8 +54,6 @@ def step_terms(
         here = distortion_loss(seen)
         both = here if distilled is None else (1 - share) * here + share * distilled.distortion
         terms["distortion"] = config.distortion_weight * both
-    if config.hash_decay_weight:
-        terms["hash_decay"] = config.hash_decay_weight * hash_decay(field)
     if config.depth_weight:
         p, h, w = batch.patches
         depth, rgb = seen.depth[-p * h * w :].reshape(p, h, w), seen.rgb[-p * h * w :].reshape(p, h, w, 3)
@@ -61,6 +61,11 @@ def step_terms(
     if distilled is not None and weight > 0:
         terms["distillation"] = weight * distilled.surrogate
     return terms
+
+
+def decay_term(field: RadianceField, config: Config) -> Terms:
+    """What the optimiser descends beside the terms of a step (N9), as a term."""
+    return {"hash_decay": config.hash_decay_weight * hash_decay(field)}
 
 
 def gradient_norms(field: RadianceField, terms: Mapping[str, Tensor]) -> dict[str, float]:

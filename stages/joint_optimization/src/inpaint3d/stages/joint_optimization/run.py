@@ -16,16 +16,17 @@ from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field, save_field
 from inpaint3d.radiance.optim import learning_rate, make_optimizer
+from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import descend, proposal_anneal
 from inpaint3d.scene.image_io import read_exr
 from inpaint3d.stages.joint_optimization.batch import RayBank
-from inpaint3d.stages.joint_optimization.config import LABELS, Config
+from inpaint3d.stages.joint_optimization.config import Config, label_of
 from inpaint3d.stages.joint_optimization.curves import Curves
-from inpaint3d.stages.joint_optimization.decisions import architecture_of, decide
+from inpaint3d.stages.joint_optimization.decisions import decide
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
 from inpaint3d.stages.joint_optimization.guidance import Guide
 from inpaint3d.stages.joint_optimization.held_out import HeldOut
-from inpaint3d.stages.joint_optimization.objective import gradient_norms, step_terms
+from inpaint3d.stages.joint_optimization.objective import decay_term, gradient_norms, step_terms
 from inpaint3d.stages.joint_optimization.patches import Window, centre_views, draw_window
 from inpaint3d.stages.joint_optimization.scene import Scene, SceneView, distillable, load_scene
 from inpaint3d.stages.joint_optimization.schedule import (
@@ -52,7 +53,15 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     guide = load_guide(config, inputs, scene, ctx)
     initial = inputs.optional("initial-field", RadianceFieldArtifact)
     spec = (
-        initial.metadata.spec if initial else architecture_of(config.architecture, plan, posed.metadata, scene.points)
+        initial.metadata.spec
+        if initial
+        else field_spec(
+            config.architecture,
+            plan,
+            views=len(scene.train),
+            centre_depth=posed.metadata.centre_depth,
+            points=scene.points,
+        )
     )
     decisions = decide(
         spec, plan, carried_over=initial is not None, distils=guide is not None, diffuse_start=config.diffuse_start
@@ -78,7 +87,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         tick=lambda done, total: ctx.progress(done, total, "rendering views"),
     )
     metadata = RadianceFieldArtifact(
-        label=LABELS[config.estimator],
+        label=label_of(config.estimator, continued=initial is not None),
         spec=spec,
         views=views,
         steps=config.steps,
@@ -142,7 +151,7 @@ def optimise(
     """
     bank = RayBank(scene.train, ctx.device)
     held_out = HeldOut(scene.test, config.score_pixels, ctx.device)
-    optimizer = make_optimizer(field, network_scale=config.network_rate_share)
+    optimizer = make_optimizer(field, network_scale=config.network_rate_share, hash_decay=config.hash_decay_weight)
     generator = torch.Generator().manual_seed(ctx.seed)
     warmup = config.warmup_steps if fresh else 0
     schedule = config.schedule_steps or config.steps
@@ -190,12 +199,12 @@ def optimise(
         terms = step_terms(field, batch, distilled, weight, config, anneal=anneal, generator=generator)
         last = step + 1 == config.steps
         due = terms_due(step, -1 if guide is None else since, config.terms_every, config.distill_every)
-        norms = gradient_norms(field, terms) if last or due else None
+        norms = gradient_norms(field, terms | decay_term(field, config)) if last or due else None
         rate = learning_rate(
             step,
             initial=config.learning_rate,
             final=config.final_learning_rate,
-            steps=config.learning_rate_steps,
+            steps=config.learning_rate_steps or config.steps,
             warmup=config.learning_rate_warmup,
         )
         losses = descend(field, optimizer, terms, rate, ctx.non_finite)

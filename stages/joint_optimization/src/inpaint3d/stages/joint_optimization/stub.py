@@ -6,7 +6,7 @@ from inpaint3d.contracts.artifacts import FieldSpec, GridSpec, RadianceFieldArti
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.radiance.artifact import stub_weights, write_curve, write_view
 from inpaint3d.scene.synthetic import synthetic_scene
-from inpaint3d.stages.joint_optimization.config import LABELS, Config
+from inpaint3d.stages.joint_optimization.config import Config, label_of
 
 SPEC = FieldSpec(
     grid=GridSpec(levels=3, coarsest=4, finest=16, log2_table=10, channels=2),
@@ -20,7 +20,7 @@ SPEC = FieldSpec(
 )
 
 
-def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:  # noqa: ARG001 - the shim's signature
+def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """The renders are the room's truth; the weights are random, of the right names and shapes."""
     scene = synthetic_scene()
     folder = outputs.folder("radiance-field")
@@ -33,7 +33,9 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     outputs.write(
         "radiance-field",
         RadianceFieldArtifact(
-            label=LABELS[config.estimator],
+            label=label_of(
+                config.estimator, continued=inputs.optional("initial-field", RadianceFieldArtifact) is not None
+            ),
             spec=SPEC,
             views=tuple(views),
             steps=2,

@@ -33,7 +33,7 @@ CurveRow = list[float]
 
 def fit(field: RadianceField, pixels: Pixels, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
     """Fit the field to the pixels and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
-    optimizer = make_optimizer(field, network_scale=config.network_rate_share)
+    optimizer = make_optimizer(field, network_scale=config.network_rate_share, hash_decay=config.hash_decay_weight)
     generator = torch.Generator().manual_seed(ctx.seed)
     tally = Tally()
     path = ctx.work / CHECKPOINT
@@ -77,12 +77,8 @@ def one_step(
     rendering = render(
         field, rays, generator=generator, background=background, anneal=anneal, near_gradient=config.near_gradient
     )
-    weights = LossWeights(
-        interlevel=config.interlevel_weight,
-        distortion=config.distortion_weight,
-        hash_decay=config.hash_decay_weight,
-    )
-    terms = {"reconstruction": reconstruction(rendering, target), **regularisers(field, rendering, weights)}
+    weights = LossWeights(interlevel=config.interlevel_weight, distortion=config.distortion_weight)
+    terms = {"reconstruction": reconstruction(rendering, target), **regularisers(rendering, weights)}
     rate = learning_rate(
         step,
         initial=config.learning_rate,
