@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.reprojection import reproject_mask, sample_bilinear, warp_image
-from inpaint3d.stages.evaluation.photos import Photo
+from inpaint3d.stages.evaluation.photos import Photo, apart
 
 LATTICE = 4  # pixels between the places where sparse depth is interpolated
 
@@ -77,7 +77,7 @@ def nearest_photo_warped(camera: Camera, depth: ArrayLike, photos: list[Photo], 
     """
     out = np.tile(np.asarray(fallback, np.float32), (camera.height, camera.width, 1))
     missing = np.ones((camera.height, camera.width), bool)
-    for photo in sorted(photos, key=lambda p: _apart(camera, p.camera)):
+    for photo in sorted(photos, key=lambda p: apart(camera, p.camera)):
         if not missing.any():
             break
         known, _ = reproject_mask(photo.known, photo.camera, None, camera, depth)
@@ -86,8 +86,3 @@ def nearest_photo_warped(camera: Camera, depth: ArrayLike, photos: list[Photo], 
         out[taken] = warped[taken]
         missing &= ~taken
     return out
-
-
-def _apart(a: Camera, b: Camera) -> float:
-    """Distance of the centres plus the turn between the axes: a near camera that looks away is not near."""
-    return float(np.linalg.norm(a.centre - b.centre) + 1.0 - a.forward @ b.forward)

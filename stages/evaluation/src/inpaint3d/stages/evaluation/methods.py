@@ -14,6 +14,7 @@ from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.stages.evaluation.boxes import Box
+from inpaint3d.stages.evaluation.photos import Photo
 
 Maps = dict[str, NDArray[np.float32]]
 
@@ -34,9 +35,10 @@ class Method:
     field: RadianceField
     artifact: Artifact[RadianceFieldArtifact]
 
-    def render(self, camera: Camera, block: int, box: Box | None = None) -> Maps:
-        """Colour rgb [h, w, 3], opacity and depth along the axis [h, w], mean code; of a box, or the whole view."""
-        maps = render_view(self.field, camera if box is None else cropped(camera, box), block=block)
+    def render(self, photo: Photo, block: int, box: Box | None = None) -> Maps:
+        """Colour rgb [h, w, 3], opacity and depth along the axis [h, w]; of a box, or the whole view."""
+        camera = photo.camera if box is None else cropped(photo.camera, box)
+        maps = render_view(self.field, camera, block=block, view=photo.exposure)
         return {name: maps[name] for name in ("rgb", "opacity", "depth")}
 
 

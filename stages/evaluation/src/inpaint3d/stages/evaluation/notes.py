@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from inpaint3d.contracts.artifacts import MaskSet, Metric, Protocol
 from inpaint3d.stages.evaluation import protocols as names
 
+CONTROL = "continued-reconstruction"  # the label of a field that took the same steps without a prior
+
 _LIMITS = (
     "What is behind the mask was made up. Several fillings can be right; PSNR and SSIM favour the blurred "
     "average of them, LPIPS and the pictures say more.",
@@ -22,6 +24,12 @@ def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: b
         found.append(
             f"Weak: {first} does not beat a hole filled with the mean colour of its surround "
             f"({box[first]:.2f} against {box[names.MEAN_SURROUND]:.2f} dB)."
+        )
+    perceived = _values(done, names.BOX, "lpips_vgg")
+    if CONTROL in perceived and first != CONTROL and perceived[first] >= perceived[CONTROL]:
+        found.append(
+            f"Weak: the prior adds nothing. The same steps without it ({CONTROL}) come as near to the truth: "
+            f"LPIPS {perceived[CONTROL]:.3f} against {perceived[first]:.3f}."
         )
     known = _values(done, names.HELD_OUT, "psnr")
     for baseline in (names.MEAN_COLOUR, names.WARPED):

@@ -1,7 +1,7 @@
 """Posed photos at the size that everything is measured at."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -23,7 +23,8 @@ class Photo:
     """One photo [h, w, 3] with its camera at that size.
 
     hole [h, w]: at least half of the pixel lies inside the mask; known [h, w]: none of it does, and the
-    camera saw it.
+    camera saw it. exposure: the training view, by its number, whose appearance code fields show it with; None: the
+    mean code.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Photo:
     image: Image
     hole: Mask
     known: Mask
+    exposure: int | None = None
 
 
 def load_photo(view: View, mask: Mask | None, longest_side: int) -> Photo:
@@ -54,6 +56,24 @@ def load_photo(view: View, mask: Mask | None, longest_side: int) -> Photo:
         hole=coverage >= 0.5,
         known=(coverage < 1e-6) & (unseen < 1e-6),
     )
+
+
+def exposed(photos: Sequence[Photo]) -> list[Photo]:
+    """The photos, each with the exposure of its own training view or, kept out of training, of the nearest one.
+
+    The exposure of a held-out photo is not the field's to know; that of its neighbour is, as for a warped photo.
+    """
+    train = [p.camera for p in photos if p.split == "train"]
+
+    def nearest(camera: Camera) -> int | None:
+        return min(range(len(train)), key=lambda i: apart(camera, train[i]), default=None)
+
+    return [replace(photo, exposure=nearest(photo.camera)) for photo in photos]
+
+
+def apart(a: Camera, b: Camera) -> float:
+    """Distance of the centres plus the turn between the axes: a near camera that looks away is not near."""
+    return float(np.linalg.norm(a.centre - b.centre) + 1.0 - a.forward @ b.forward)
 
 
 def area_resized(values: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:

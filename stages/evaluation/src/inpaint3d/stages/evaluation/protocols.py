@@ -52,7 +52,7 @@ class Bench:
         """The whole view, rendered once."""
         key = (method.label, photo.name)
         if key not in self.renders:
-            self.renders[key] = method.render(photo.camera, self.config.block)
+            self.renders[key] = method.render(photo, self.config.block)
             self.tick(f"{method.label} in {photo.name}")
         return self.renders[key]
 
@@ -77,7 +77,7 @@ def against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
             continue
         ring = ring_width(config, tight.width, tight.height)
         outer = box.grown(ring, ring, photo.camera.width, photo.camera.height)
-        renders = {m.label: m.render(photo.camera, config.block, outer) for m in bench.methods}
+        renders = {m.label: m.render(photo, config.block, outer) for m in bench.methods}
         bench.tick(f"crops of {photo.name}")
         if not bench.usable(renders, photo.name):
             continue
@@ -129,8 +129,8 @@ def held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayL
             description=f"{done} photos kept out of training, at most {bench.config.render_longest_side} px a "
             "side; pixels outside the mask only. PSNR and SSIM are means over known pixels; for SSIM's windows and "
             "LPIPS the other pixels are set to the photo's own, which lowers LPIPS alike for every "
-            f"method. Fields use the mean exposure code. {MEAN_COLOUR}: the mean colour of the training "
-            f"photos' known pixels; {WARPED}: the nearest training photo, warped by depth interpolated "
+            f"method. Fields use the exposure code of the nearest training photo. {MEAN_COLOUR}: the mean colour of "
+            f"the training photos' known pixels; {WARPED}: the nearest training photo, warped by depth interpolated "
             "between the sparse points.",
             metrics=tuple(bench.scores.means(HELD_OUT)),
         )

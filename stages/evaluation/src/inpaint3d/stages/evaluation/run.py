@@ -1,5 +1,6 @@
 """Score the fields by every protocol that the inputs allow, draw them, and write the report."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -17,6 +18,7 @@ from inpaint3d.stages.evaluation.notes import weaknesses
 from inpaint3d.stages.evaluation.photos import (
     Photo,
     evenly_chosen,
+    exposed,
     load_photo,
     read_masks,
 )
@@ -57,7 +59,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
 
     folder = outputs.folder("evaluation")
     (folder / "pictures").mkdir()
-    contact = _contact(bench, capture, masks, folder)
+    contact = _contact(bench, photos, capture, masks, folder)
     strips = [
         *_strips(bench, evenly_chosen(truths, config.picture_views), folder, "truth"),
         *_strips(bench, evenly_chosen(shown, config.picture_views), folder, "photo"),
@@ -94,7 +96,7 @@ def _captured(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], longest
         raise BadInputError(
             f"mask-set has no mask for view {missing[0]} ({len(missing)} in all); re-run mask-authoring"
         )
-    return [load_photo(view, known[view.name], longest_side) for view in views]
+    return exposed([load_photo(view, known[view.name], longest_side) for view in views])
 
 
 def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config: Config) -> list[Photo]:
@@ -111,14 +113,19 @@ def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config
     return evenly_chosen(photos, config.truth_views)
 
 
-def _contact(bench: Bench, capture: Artifact[PosedCapture], masks: Artifact[MaskSet], folder: Path) -> Strip:
+def _contact(
+    bench: Bench, photos: list[Photo], capture: Artifact[PosedCapture], masks: Artifact[MaskSet], folder: Path
+) -> Strip:
     """Before, mask, after, depth: the first field in the view that shows the hole best."""
     views = load_posed(capture)
     known = read_masks(masks, masks.metadata.views)
     view = views[showing_most([known[v.name] for v in views])]
     camera = reduced(view.camera, bench.config.contact_longest_side)
-    photo = load_photo(view, known[view.name], max(camera.width, camera.height))
-    maps = bench.methods[0].render(photo.camera, bench.config.block)
+    photo = replace(
+        load_photo(view, known[view.name], max(camera.width, camera.height)),
+        exposure=next(p.exposure for p in photos if p.name == view.name),
+    )
+    maps = bench.methods[0].render(photo, bench.config.block)
     bench.tick(f"contact picture of {view.name}")
     panels = [photo.image, hidden(photo.image, photo.hole), maps["rgb"], coloured_depth(maps["depth"])]
     write_png(folder / CONTACT, side_by_side(panels))
