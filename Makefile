@@ -6,11 +6,11 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check install schemas format clean
+.PHONY: demo test check install schemas format bench-radiance clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 $(UV):
 	python3 -m venv $(UV_HOME)
@@ -42,6 +42,15 @@ schemas: .venv/.installed ## write schemas/ from the models
 format: .venv/.installed ## format and fix what can be fixed
 	.venv/bin/ruff format .
 	.venv/bin/ruff check --fix .
+
+# The peer lives in an environment of its own: nerfstudio pins what the product must not.
+PEER_ENV := .cache/radiance-peer
+$(PEER_ENV)/.installed: $(UV) benchmarks/radiance/peer/pyproject.toml benchmarks/radiance/peer/uv.lock
+	UV_PROJECT_ENVIRONMENT=$(abspath $(PEER_ENV)) $(UV) sync --locked --project benchmarks/radiance/peer
+	@touch $@
+
+bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields against nerfstudio and the machine [FOX=FOLDER]
+	.venv/bin/python -m benchmarks.radiance $(if $(FOX),--fox $(FOX)) $(BENCH_OPTIONS)
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs

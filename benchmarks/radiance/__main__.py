@@ -1,0 +1,214 @@
+"""Radiance fields on a CPU against a peer and against the machine: `make bench-radiance [FOX=FOLDER]`.
+
+    python -m benchmarks.radiance [--fox FOLDER] [--quick] [--long] [--out FILE]
+
+Writes `benchmarks/results/radiance.json`. Every ratio is of two figures taken in this run, one after the other, each in
+a process of its own with one thread; larger is better for us. CPU seconds are user + system.
+
+- rays_per_cpu_s_ratio_fast, _paper: training rays per CPU second over nerfacto's, each at its own batch size: ours in
+  the default configuration and with the preset `paper`.
+- cpu_s_ratio_to_17_7_db, _18_4_db: nerfacto's CPU seconds to that held-out PSNR, at 512 rays a step, over ours (median
+  of three seeds), on the same pixels of the same views.
+- rss_ratio, rss_ratio_paper: nerfacto's peak memory over ours, at the batch sizes of the rates.
+- fox_psnr: CPU seconds to dB over the whole held-out photos, mean of three seeds; needs `--fox`, a folder with
+  transforms.json and images/. fox_largest_drop_db: below the best so far, over all seeds.
+- mlp_fma_share, encode_gather_share: see kernels.py.
+- growth_exponents: of the time of a step over rays, samples and entries of a table.
+
+Without `--fox` the peer is met on the demo capture.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from benchmarks.radiance import scene
+
+from inpaint3d.orchestrator.history import this_machine
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+RESULTS = REPOSITORY / "benchmarks" / "results" / "radiance.json"
+DEMO = REPOSITORY / "examples" / "demo" / "capture"
+PEER = REPOSITORY / ".cache" / "radiance-peer" / "bin" / "python"
+THRESHOLDS_DB = (17.7, 18.4)
+SEEDS = (0, 1, 2)
+MARKS_S = (10, 50, 120)
+LONG_MARKS_S = (*MARKS_S, 200, 400, 800, 1200)
+# Pixels along a picture's longest side at which curves are scored, on both sides.
+SIDE = 60
+
+Figures = dict[str, Any]
+
+
+class Bench:
+    """The parts, on one scene."""
+
+    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
+        self.options, self.folder, self.quick = options, folder, options.quick
+        self.side = 12 if self.quick else SIDE
+
+    def ours(self, what: str, *words: object) -> Figures:
+        module = ["-m", "benchmarks.radiance.ours", str(self.folder), what, "--side", str(self.side)]
+        return spoken([sys.executable, *module, *map(str, words)])
+
+    def peer(self, what: str, *words: object) -> Figures:
+        script = REPOSITORY / "benchmarks" / "radiance" / "peer" / "nerfacto.py"
+        return spoken([str(self.options.peer), str(script), str(self.folder / "views.npz"), what, *map(str, words)])
+
+    def rates(self) -> Figures:
+        """Ours before and after the peer's: a machine that slows down meanwhile shows."""
+        steps = (3, 1) if self.quick else (60, 5)
+        first = self.ours("rate", "--steps", steps[0])
+        peer = self.peer("rate", "--rays", 512 if self.quick else 4096, "--steps", 1 if self.quick else 4)
+        second = self.ours("rate", "--steps", steps[0])
+        rays = ["--rays", 4096] if self.quick else []
+        paper = self.ours("rate", "--preset", "paper", *rays, "--steps", 1 if self.quick else 2, "--warmup", 1)
+        return {"peer": peer, "fast": [first, second], "paper": paper}
+
+    def curves(self) -> Figures:
+        limit = ["--limit-s", 3 if self.quick else 600]
+        peer = self.peer(
+            "curve", "--rays", 64 if self.quick else 512, "--until-db", THRESHOLDS_DB[-1],
+            "--every-s", 2 if self.quick else 20, *limit,
+        )  # fmt: skip
+        ours = [
+            self.ours("curve", "--seed", seed, "--until-db", THRESHOLDS_DB[-1], *limit)
+            for seed in (SEEDS[:2] if self.quick else SEEDS)
+        ]
+        return {"peer": peer, "ours": ours}
+
+    def fox(self) -> list[Figures]:
+        marks = LONG_MARKS_S if self.options.long else MARKS_S
+        words = ["--marks", *((1, 2) if self.quick else marks), "--preset", self.options.preset]
+        if self.quick:
+            words += ["--whole-side", 60]
+        every = ["--every-s", 0.5 if self.quick else 1]
+        return [self.ours("curve", "--seed", seed, *words, *every) for seed in (SEEDS[:2] if self.quick else SEEDS)]
+
+    def growth(self) -> Figures:
+        few = ["--steps", 2, "--warmup", 1, "--stride", 2] if self.quick else ["--steps", 15]
+        return self.ours("growth", *few)
+
+    def kernels(self) -> Figures:
+        few = ["--rows", "4096", "--points", "16384", "--repeats", "3"] if self.quick else []
+        return spoken([sys.executable, "-m", "benchmarks.radiance.kernels", *few])
+
+
+def spoken(command: list[str]) -> Figures:
+    """What a process of one thread printed as JSON on its last line."""
+    print(" ".join(Path(word).name if "/" in word else word for word in command), file=sys.stderr, flush=True)
+    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    done = subprocess.run(
+        command, cwd=REPOSITORY, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | single
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def seconds_to(db: float, curve: list[tuple[float, float]]) -> float | None:
+    """CPU seconds at which a curve of (seconds, dB) first reaches a PSNR, between points in a straight line."""
+    before: tuple[float, float] | None = None
+    for cpu_s, reached in curve:
+        if reached >= db:
+            if before is None:
+                return cpu_s
+            return before[0] + (cpu_s - before[0]) * (db - before[1]) / (reached - before[1])
+        before = (cpu_s, reached)
+    return None
+
+
+def over(above: float | None, below: float | None) -> float | None:
+    return None if above is None or below is None else above / below
+
+
+def headline(measured: Figures) -> Figures:
+    """The figures that count, from those measured."""
+    rates, curves, fox = measured["rates"], measured["curves"], measured["fox"]
+    peer = rates["peer"]
+    fast = statistics.mean(rate["rays_per_cpu_s"] for rate in rates["fast"])
+    figures: Figures = {
+        "rays_per_cpu_s_ratio_fast": fast / peer["rays_per_cpu_s"],
+        "rays_per_cpu_s_ratio_paper": rates["paper"]["rays_per_cpu_s"] / peer["rays_per_cpu_s"],
+    }
+    for db in THRESHOLDS_DB:
+        times = [seconds_to(db, run["curve"]) for run in curves["ours"]]
+        reached = [t for t in times if t is not None]
+        ours = statistics.median(reached) if len(reached) == len(times) else None
+        key = f"cpu_s_ratio_to_{db:g}_db".replace(".", "_")
+        figures[key] = over(seconds_to(db, curves["peer"]["curve"]), ours)
+    figures |= {
+        "rss_ratio": peer["peak_memory_bytes"] / max(rate["peak_memory_bytes"] for rate in rates["fast"]),
+        "rss_ratio_paper": peer["peak_memory_bytes"] / rates["paper"]["peak_memory_bytes"],
+        "fox_psnr": None,
+        "fox_largest_drop_db": None,
+        "mlp_fma_share": measured["kernels"]["mlp_fma_share"],
+        "encode_gather_share": measured["kernels"]["encode_gather_share"],
+        "growth_exponents": {
+            name: found["exponent"] for name, found in measured["growth"].items() if isinstance(found, dict)
+        },
+    }
+    if fox is not None:
+        figures["fox_psnr"] = {mark: statistics.mean(run["psnr"][mark] for run in fox) for mark in fox[0]["psnr"]}
+        figures["fox_largest_drop_db"] = max(run["largest_drop_db"] for run in fox)
+    return figures
+
+
+def commit() -> Figures:
+    """What was measured: the commit, and whether the code (results aside) differs from it."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=REPOSITORY, check=True, capture_output=True, text=True)
+        return done.stdout.strip()
+
+    changed = git("status", "--porcelain", "--", ".", ":!benchmarks/results")
+    return {"commit": git("rev-parse", "HEAD"), "modified": bool(changed)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fox", type=Path, metavar="FOLDER", help="transforms.json and images/")
+    parser.add_argument("--preset", default="standard", help="of pipeline.yaml, for fox_psnr")
+    parser.add_argument("--long", action="store_true", help="fox_psnr on to ten times the CPU seconds")
+    parser.add_argument("--quick", action="store_true", help="every part, too short for its figures to mean anything")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--work", type=Path, default=REPOSITORY / ".cache" / "radiance-bench", help="posed captures")
+    parser.add_argument("--peer", type=Path, default=PEER, help="Python of the peer's environment")
+    options = parser.parse_args()
+    if not options.peer.exists():
+        parser.error(f"there is no {options.peer}; `make bench-radiance` installs the peer")
+    if options.quick and options.out == RESULTS:
+        parser.error("--quick figures are no results; give another file with --out")
+    name = "fox" if options.fox else "demo"
+    folder = options.work.resolve() / name
+    scene.pose(options.fox or DEMO, REPOSITORY, folder)
+    bench = Bench(options, folder)
+    views = bench.ours("views")
+    if not options.fox:
+        print("without --fox FOLDER: fox_psnr stays null, and the peer is met on the demo capture", file=sys.stderr)
+    measured: Figures = {
+        "rates": bench.rates(),
+        "curves": bench.curves(),
+        "fox": bench.fox() if options.fox else None,
+        "kernels": bench.kernels(),
+        "growth": bench.growth(),
+    }
+    report = {
+        "machine": this_machine().model_dump(),
+        **commit(),
+        "quick": options.quick,
+        "scene": {"name": name, **views},
+        "fox_preset": options.preset if options.fox else None,
+        **headline(measured),
+        "measured": measured,
+    }
+    options.out.parent.mkdir(exist_ok=True)
+    options.out.write_text(json.dumps(report, indent=1) + "\n")
+    print(json.dumps({key: value for key, value in report.items() if key != "measured"}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
