@@ -125,15 +125,17 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
     got = [torch.zeros(()) if p.grad is None else p.grad for p in field.parameters()]
     # By hand: the same rays with the same jitter, and the same draws for the prior after it.
     stream = generator()
+    behind = torch.rand(3, generator=stream)
     jitter = generator(int(torch.randint(2**62, (1,), generator=stream)))
     window = Window(0, 8.0, 2.0, 2.0, 16)
     hole = torch.from_numpy(window.look_up(view.hole))
     rays = camera_rays(view.camera, window.pixels())
     inside, outside = (Rays(rays.origins[m], rays.directions[m]) for m in (hole, ~hole))
     patch = torch.empty(16, 16, 3)
-    rgb = render(field, inside, generator=jitter, glo="mean", near_gradient=False).rgb
+    grounds = [behind.expand(len(part.origins), 3) for part in (inside, outside)]
+    rgb = render(field, inside, generator=jitter, glo="mean", background=grounds[0], near_gradient=False).rgb
     patch[hole] = rgb.detach()
-    patch[~hole] = render(field, outside, glo="mean").rgb.detach()
+    patch[~hole] = render(field, outside, glo="mean", background=grounds[1]).rgb.detach()
     answer, _ = Guide(prior, "sds", 2.0, 1).gradient(patch, hole, (0.3, 0.5), stream)
     by_hand = torch.autograd.grad(rgb, list(field.parameters()), answer[hole], allow_unused=True)
     for a, b in zip(got, by_hand, strict=True):

@@ -7,7 +7,7 @@ from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import charbonnier, depth_smoothness_loss, distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
-from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.rendering import BACKGROUND, render
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Batch, joined
 from inpaint3d.stages.joint_optimization.config import Config
@@ -50,7 +50,9 @@ def terms_of(field: RadianceField, batch: Batch, distilled: Distilled | None = N
 
 def test_each_term_is_the_paper_s_over_the_rays_that_it_is_meant_for(field: RadianceField, batch: Batch) -> None:
     """L2: reconstruction over the known rays and channels alone. L7: the rest over all. L3: the paper's weights."""
-    seen = render(field, batch.rays, generator=torch.Generator().manual_seed(0))
+    stream, background = torch.Generator().manual_seed(0), torch.full((len(batch.rays.origins), 3), BACKGROUND)
+    background[:KNOWN] = torch.rand(KNOWN, 3, generator=stream)
+    seen = render(field, batch.rays, generator=stream, background=background)
     terms = terms_of(field, batch)
     torch.testing.assert_close(terms["reconstruction"], charbonnier(seen.rgb[:KNOWN] - batch.target).mean())
     torch.testing.assert_close(terms["interlevel"], interlevel_loss(seen))

@@ -1,6 +1,7 @@
 """One step of distillation: render a window, ask the prior, hand its gradient to the field (rows S1 to S5, S10, L7)."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
-from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.rendering import Rendering, render
 from inpaint3d.stages.joint_optimization.guidance import Guide
 from inpaint3d.stages.joint_optimization.patches import Window
 from inpaint3d.stages.joint_optimization.scene import SceneView
@@ -45,6 +46,9 @@ def distil(
 ) -> Distilled:
     """Render the window with the mean appearance code and pull its hole towards what the prior believes.
 
+    Behind the field lies one random colour: what it shines through is never what the prior asked for, so that the hole
+    becomes opaque.
+
     The gradient is 0 outside the hole, so that only the rays inside are rendered with a graph: known pixels cost a
     plain render, and nothing is rendered twice unless the hole has more than `block` rays.
     """
@@ -52,9 +56,11 @@ def distil(
     hole = torch.from_numpy(window.look_up(view.hole)).to(field.device)
     inside = Rays(rays.origins[hole], rays.directions[hole])
     outside = Rays(rays.origins[~hole], rays.directions[~hole])
-    rgb, interlevel, distortion = _with_graph(field, inside, specular_scale, block, generator)
+    behind = torch.rand(3, generator=generator).to(field.device)
+    look = Look(specular_scale, behind)
+    rgb, interlevel, distortion = _with_graph(field, inside, look, block, generator)
     patch = torch.empty(*hole.shape, 3, device=field.device)
-    patch[~hole] = _without_graph(field, outside, specular_scale, block)
+    patch[~hole] = _without_graph(field, outside, look, block)
     patch[hole] = rgb.detach()
     gradient, t = guide.gradient(patch, hole, timesteps, generator)
     inner = gradient[hole]
@@ -69,17 +75,33 @@ def distil(
     )
 
 
+class Look(NamedTuple):
+    """How a patch is shown to the prior."""
+
+    specular_scale: float
+    behind: Float[Tensor, " 3"]  # colour behind the field
+
+
+def _render(field: RadianceField, rays: Rays, look: Look, jitter: torch.Generator | None = None) -> Rendering:
+    return render(
+        field,
+        rays,
+        generator=jitter,
+        glo="mean",
+        specular_scale=look.specular_scale,
+        background=look.behind.expand(len(rays.origins), 3),
+        near_gradient=False,
+    )
+
+
 @torch.no_grad()
-def _without_graph(field: RadianceField, rays: Rays, specular_scale: float, block: int) -> Float[Tensor, "n 3"]:
-    colours = [
-        render(field, rays[i : i + block], glo="mean", specular_scale=specular_scale).rgb
-        for i in range(0, len(rays.origins), block)
-    ]
+def _without_graph(field: RadianceField, rays: Rays, look: Look, block: int) -> Float[Tensor, "n 3"]:
+    colours = [_render(field, rays[i : i + block], look).rgb for i in range(0, len(rays.origins), block)]
     return torch.cat(colours) if colours else rays.origins.new_zeros(0, 3)
 
 
 def _with_graph(
-    field: RadianceField, rays: Rays, specular_scale: float, block: int, generator: torch.Generator
+    field: RadianceField, rays: Rays, look: Look, block: int, generator: torch.Generator
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, ""], Float[Tensor, ""]]:
     """Colours of rays and their regularisers' means. Beyond one block, blocks are rendered again when it is their turn
     to backpropagate: a third more time, and the memory of one block.
@@ -91,7 +113,7 @@ def _with_graph(
         some = rays[start : start + block]
         # Seeded here, so that the second rendering jitters its samples as the first did.
         jitter = torch.Generator().manual_seed(seed)
-        seen = render(field, some, generator=jitter, glo="mean", specular_scale=specular_scale, near_gradient=False)
+        seen = _render(field, some, look, jitter)
         share = len(some.origins) / count
         return seen.rgb, share * interlevel_loss(seen), share * distortion_loss(seen)
 

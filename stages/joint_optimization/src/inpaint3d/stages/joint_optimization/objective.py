@@ -13,7 +13,7 @@ from inpaint3d.radiance.losses import (
     hash_decay,
     interlevel_loss,
 )
-from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.rendering import BACKGROUND, render
 from inpaint3d.stages.joint_optimization.batch import Batch
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.distil import Distilled
@@ -35,13 +35,24 @@ def step_terms(
 
     `weight` is that of distillation at this step (S6).
 
-    generator jitters the samples along rays; None centres them.
+    generator jitters the samples along rays, and colours what lies behind the known ones: a background that nothing
+    can imitate makes what the photos show opaque. None centres the samples, before grey.
 
     Reconstruction sees known pixels alone (L2). The regularisers see every ray of the step, masked ones and those of
     the distilled hole too (L7): their means are over all of them. A term of weight 0 is not computed.
     """
-    seen = render(field, batch.rays, generator=generator, anneal=anneal, near_gradient=config.near_gradient)
     known, total = len(batch.target), len(batch.rays.origins)
+    background = batch.target.new_full((total, 3), BACKGROUND)
+    if generator is not None:
+        background[:known] = torch.rand(known, 3, generator=generator).to(batch.target)
+    seen = render(
+        field,
+        batch.rays,
+        generator=generator,
+        background=background,
+        anneal=anneal,
+        near_gradient=config.near_gradient,
+    )
     terms: Terms = {
         "reconstruction": config.reconstruction_weight * charbonnier(seen.rgb[:known] - batch.target).mean()
     }
