@@ -123,6 +123,15 @@ def test_an_initial_field_goes_on_where_it_was(store: Store, inputs: Wired) -> N
     assert "hole" in second.metadata.decisions
     whole = optimised(store, inputs() | {"initial-field": first.digest}, steps=3, hole="as-masked")
     assert "hole" not in whole.metadata.decisions
+    without = optimised(store, inputs() | {"initial-field": first.digest}, estimator="none", steps=3)
+    assert without.metadata.label == "continued-reconstruction"
+
+
+def test_a_fresh_start_forgets_the_initial_field(store: Store, inputs: Wired) -> None:
+    """As in the paper: one optimisation from nothing."""
+    first = optimised(store, inputs(), estimator="none")
+    fresh = optimised(store, inputs() | {"initial-field": first.digest}, start="fresh")
+    assert fresh.digest == optimised(store, inputs()).digest
 
 
 def test_effects_that_are_off_are_absent(store: Store, inputs: Wired) -> None:

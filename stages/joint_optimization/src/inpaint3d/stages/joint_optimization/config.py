@@ -40,6 +40,10 @@ class Config(Closed):
     near_gradient: bool = Field(default=False, description="False: gradients near cameras are turned down; paper: True")
     proposal_anneal_steps: Steps = Field(default=100, description="steps over which proposals come into force")
 
+    start: Literal["initial-field", "fresh"] = Field(
+        default="initial-field",
+        description="where the field starts: from the initial field, where one is wired, or from nothing (the paper)",
+    )
     warmup_steps: Steps = Field(
         default=200, description="reconstruction-only steps at the start; 0 with an initial field (S7)"
     )

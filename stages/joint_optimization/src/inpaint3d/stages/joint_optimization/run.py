@@ -51,7 +51,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     plan = inputs.one("effect-plan", EffectPlan).metadata
     scene = load_scene(posed, inputs.one("mask-set", MaskSet))
     guide = load_guide(config, inputs, scene, ctx)
-    initial = inputs.optional("initial-field", RadianceFieldArtifact)
+    wired = inputs.optional("initial-field", RadianceFieldArtifact)
+    initial = wired if config.start == "initial-field" else None
     spec = (
         initial.metadata.spec
         if initial
