@@ -6,7 +6,7 @@ import jsonschema
 import pytest
 
 from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.orchestrator.parameters import resolved
+from inpaint3d.orchestrator.parameters import parameter_schema, resolved
 from tests.conftest import REPOSITORY
 
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
@@ -124,6 +124,11 @@ def test_scenes_fan_out(cli, tmp_path):
 def test_every_preset_has_valid_parameters(preset, node):
     chosen = PIPELINE.parameters(node, preset)
     assert chosen.items() <= resolved(PIPELINE, node, chosen).items()
+
+
+@pytest.mark.parametrize("node", PIPELINE.order)
+def test_parameter_schemas_are_json_schemas(node):
+    jsonschema.Draft202012Validator.check_schema(parameter_schema(PIPELINE, node))
 
 
 def test_wrong_parameters_are_named(cli, capture):

@@ -1,5 +1,7 @@
 import pytest
+import yaml
 
+from inpaint3d.contracts import documents
 from inpaint3d.contracts.artifacts import MaskRequest
 from inpaint3d.contracts.documents import load_document, load_yaml
 from inpaint3d.contracts.errors import ConfigurationError
@@ -40,3 +42,11 @@ def test_broken_documents(tmp_path, text, says):
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"nowhere\.yaml"):
         load_document(tmp_path / "nowhere.yaml", MaskRequest)
+
+
+def test_both_parsers_read_the_same_with_the_same_lines(tmp_path, monkeypatch):
+    path = write(tmp_path, "# a comment\na:\n  - &one {b: 1.5, c: yes}\n  - *one\nd: |\n  two\n  lines\n")
+    fast = load_yaml(path)
+    monkeypatch.setattr(documents, "LOADER", yaml.SafeLoader)
+    assert load_yaml(path) == fast
+    assert fast[0] == {"a": [{"b": 1.5, "c": True}] * 2, "d": "two\nlines\n"}

@@ -1,3 +1,5 @@
+import importlib.metadata
+
 import pytest
 
 from inpaint3d.contracts import keys
@@ -59,3 +61,9 @@ def test_local_code_digest_covers_libraries_but_not_other_packages():
 def test_a_distribution_that_is_not_here_is_a_clear_error():
     with pytest.raises(ConfigurationError, match="inpaint3d-nowhere is not installed"):
         keys.local_code_digest("inpaint3d-nowhere")
+
+
+def test_versions_and_requirements_are_those_that_python_knows():
+    metadata = importlib.metadata
+    for name in keys._closure("inpaint3d-scene"):
+        assert keys._installed(name) == (metadata.version(name), tuple(metadata.requires(name) or ()))

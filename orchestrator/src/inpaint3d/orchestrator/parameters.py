@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 from typing import Any, cast
 
-import jsonschema
 import yaml
+from jsonschema import Draft202012Validator, exceptions
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.pipeline import Pipeline
@@ -36,11 +36,11 @@ def resolved(pipeline: Pipeline, node: str, chosen: dict[str, Any]) -> dict[str,
     for name in chosen:
         if name not in known:
             raise ConfigurationError(f"{node} has no parameter {name}; it has {', '.join(sorted(known)) or 'none'}")
-    try:
-        jsonschema.validate(chosen, schema, cls=jsonschema.Draft202012Validator)
-    except jsonschema.ValidationError as error:
+    # The schemas are generated, and a test holds them against the metaschema: that is not done again at every run.
+    validator, best_match = cast(Any, Draft202012Validator(schema)), cast(Any, exceptions).best_match
+    if (error := best_match(validator.iter_errors(chosen))) is not None:
         at = ".".join(str(p) for p in error.absolute_path) or "(parameters)"
-        raise ConfigurationError(f"{node}.{at}: {error.message}") from error
+        raise ConfigurationError(f"{node}.{at}: {error.message}")
     defaults = {name: entry["default"] for name, entry in known.items() if "default" in entry}
     return {**defaults, **chosen}
 

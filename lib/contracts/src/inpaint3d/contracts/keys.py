@@ -73,7 +73,7 @@ def local_code_digest(distribution: str) -> Digest:
     closure = _closure(distribution)
     parts: dict[str, str] = {}
     for name in sorted(closure):
-        parts[name] = _source_digest(name) if name.startswith(PREFIX) else importlib.metadata.version(name)
+        parts[name] = _source_digest(name) if name.startswith(PREFIX) else _installed(name)[0]
     return digest_of(parts)
 
 
@@ -86,7 +86,7 @@ def _closure(distribution: str) -> frozenset[str]:
         if name in found:
             continue
         try:
-            required = importlib.metadata.requires(name) or []
+            _, required = _installed(name)
         except importlib.metadata.PackageNotFoundError as error:
             if name == distribution:
                 raise ConfigurationError(f"{name} is not installed; run `make install`") from error
@@ -96,6 +96,13 @@ def _closure(distribution: str) -> frozenset[str]:
             if "extra ==" not in line and (match := re.match(r"[A-Za-z0-9._-]+", line)):
                 waiting.append(re.sub(r"[-_.]+", "-", match.group()).lower())
     return frozenset(found)
+
+
+@functools.cache
+def _installed(distribution: str) -> tuple[str, tuple[str, ...]]:
+    """Version and requirements, read once: stages share most of what they depend on, and parsing is slow."""
+    metadata = importlib.metadata.metadata(distribution)
+    return metadata["Version"], tuple(metadata.get_all("Requires-Dist") or ())
 
 
 @functools.cache
