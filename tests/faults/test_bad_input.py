@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from inpaint3d.contracts.artifacts import Capture
 from inpaint3d.contracts.store import Store
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
@@ -51,7 +52,18 @@ def test_captures_that_cannot_be_read(cli, tmp_path, spoil, count, says):
     assert result.returncode == 3, result.stderr
     for words in says:
         assert words in result.stderr
+    assert str(cli.store) not in result.stderr, "the file to repair is the user's, not the store's copy"
     assert list(Store(cli.store).records()) == []
+
+
+def test_pictures_of_different_sizes_are_carried_as_they_are(cli, tmp_path):
+    pictures(tmp_path / "tiny", 3)
+    write_png(tmp_path / "tiny" / "view_003.png", np.rot90(SCENE.images[3])[::2, ::2])
+    result = cli("run", str(tmp_path / "tiny"), "--only", "capture-ingest")
+    assert result.returncode == 0, result.stderr
+    (record,) = Store(cli.store).records()
+    frames = Store(cli.store).open(record.outputs["capture"], Capture).metadata.frames
+    assert [(f.width, f.height) for f in frames] == [(48, 36)] * 3 + [(18, 24)]
 
 
 def test_broken_request_names_its_line(cli, tmp_path, capture):

@@ -8,12 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
+from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.image_io import read_header, read_image, write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.capture_ingest.config import Config
-from inpaint3d.stages.capture_ingest.found import Found
-from inpaint3d.stages.capture_ingest.run import detect, find, fitted_mask, read_exif
+from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
+from inpaint3d.stages.capture_ingest.run import _carry, detect, find, fitted_mask, read_exif
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -101,8 +102,22 @@ def test_spin_nerf(tmp_path):
     assert_cameras(found)
     assert all(f.mask is not None for f in found.frames)
     assert [f.name for f in found.truth] == ["a0", "a1"]
+    assert [f.mask is not None for f in found.truth] == [True, False]
+    for frame, camera in zip(found.truth, SCENE.cameras, strict=False):
+        np.testing.assert_allclose(frame.camera.world_from_cam, camera.world_from_cam, atol=1e-9)
     with pytest.raises(BadInputError, match="spin_nerf_truth"):
         found_in(tmp_path, tmp_path)
+
+
+def test_the_first_forty_files_of_spin_nerf_are_the_truth(tmp_path):
+    names = [f"IMG_{i:03d}" for i in range(44)]
+    pictures(tmp_path / "images_4", names, [SCENE.images[0]] * 44)
+    for name in names:  # what the files are called by their suffix does not matter
+        (tmp_path / "images_4" / f"{name}.png").rename(tmp_path / "images_4" / f"{name}.JPG")
+    np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras * 11))
+    found = found_in(tmp_path, tmp_path)
+    assert [f.name for f in found.truth] == names[:40]
+    assert [f.name for f in found.frames] == names[40:]
 
 
 def colmap_pose(camera) -> tuple[list[float], list[float]]:
@@ -184,3 +199,41 @@ def test_exif_focal_is_in_pixels(tmp_path):
     assert exif.focal_px == pytest.approx(40.0)
     assert exif.exposure_s == pytest.approx(0.02, rel=1e-3)  # EXIF keeps a ratio of integers
     assert exif.camera == "M"
+
+
+def test_any_depth_and_any_way_up_become_upright_eight_bit_frames_of_their_own_size(tmp_path):
+    import OpenImageIO as oiio  # noqa: N813
+
+    picture = np.full((16, 32, 3), 0.2, np.float32)
+    picture[:8, :16] = 0.8  # light at the stored top left
+
+    def stored(name, pixel, **attributes):
+        spec = oiio.ImageSpec(32, 16, 3, pixel)
+        for key, value in attributes.items():
+            spec.attribute(key, value)
+        out = oiio.ImageOutput.create(str(tmp_path / name))
+        assert out.open(str(tmp_path / name), spec)
+        assert out.write_image(picture)
+        out.close()
+        return FoundFrame(Path(name).stem, tmp_path / name)
+
+    ctx = Context(seed=0, device="cpu", threads=1, work=tmp_path, emit=lambda *_, **__: None)
+    found = [
+        stored("plain.jpg", "uint8"), stored("turned.jpg", "uint8", Orientation=6), stored("deep.tif", "uint16"),
+        stored("light.exr", "float"),
+    ]  # fmt: skip
+    plain, turned, deep, light = (_carry(f, tmp_path / "out", 0, 10, ctx) for f in found)
+    assert [f.path for f in (plain, turned, deep, light)] == [
+        "frames/plain.jpg", "frames/turned.png", "frames/deep.png", "frames/light.png",
+    ]  # fmt: skip
+    assert (tmp_path / "out" / plain.path).read_bytes() == (tmp_path / "plain.jpg").read_bytes()
+    assert [(f.width, f.height) for f in (plain, turned, deep, light)] == [(32, 16), (16, 32), (32, 16), (32, 16)]
+    header = read_header(tmp_path / "out" / turned.path)
+    assert (header.width, header.height, header.orientation) == (16, 32, 1)
+    upright = read_image(tmp_path / "out" / turned.path)
+    assert upright[0, -1, 0] > 0.7 > 0.3 > upright[0, 0, 0]
+    for frame in (deep, light):
+        assert read_header(tmp_path / "out" / frame.path).bits == 8
+    np.testing.assert_allclose(read_image(tmp_path / "out" / deep.path)[0, 0], 0.8, atol=1 / 255)
+    # Float files hold linear light: 0.8 is 0.906 once sRGB-encoded.
+    np.testing.assert_allclose(read_image(tmp_path / "out" / light.path)[0, 0], 0.906, atol=1 / 255)

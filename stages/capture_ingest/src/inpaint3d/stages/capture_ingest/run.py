@@ -21,7 +21,16 @@ ASPECT_TOLERANCE = 0.01
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """Write `capture`, and `truth` where the source has views to score against."""
-    raw = inputs.one("source", Source).root / "raw"
+    source = inputs.one("source", Source)
+    raw = source.root / "raw"
+    try:
+        _ingest(raw, config, outputs, ctx)
+    except BadInputError as error:
+        # The file to repair is the user's; the store's copy of it is of no use to anybody.
+        raise BadInputError(f"{source.metadata.name}: {str(error).replace(f'{raw}/', '')}") from error
+
+
+def _ingest(raw: Path, config: Config, outputs: Outputs, ctx: Context) -> None:
     found = find(raw, config, ctx.work)
     for note in found.notes:
         ctx.log(note)
