@@ -26,3 +26,19 @@ def test_no_room_for_an_artifact(tmp_path):
     assert result.returncode == 5, result.stdout + result.stderr
     assert "no space left" in event["message"]
     assert list(store.records()) == []
+
+
+def test_no_room_for_the_capture_itself(cli, capture):
+    """The orchestrator takes it in; the message names the copy that did not fit, in the store."""
+    (capture / "photo.jpg").write_bytes(bytes(1 << 20))
+    limit = 100_000
+    result = cli(
+        "run", str(capture), "--stub", preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit,) * 2)
+    )
+    assert result.returncode == 5, result.stderr
+    assert f"no space left writing {cli.store}" in result.stderr
+    store = Store(cli.store)
+    assert list(store.records()) == []
+    assert list((store.root / "objects").iterdir()) == []
+    assert cli("gc").returncode == 0
+    assert list((store.root / "tmp").iterdir()) == []

@@ -1,3 +1,5 @@
+import errno
+
 from inpaint3d.contracts import errors
 
 
@@ -14,3 +16,8 @@ def test_the_drawing_in_the_docstring_is_the_tree():
             line = next(line for line in errors.__doc__.splitlines() if f"{name} " in line + " ")
             if error is not errors.ArtifactError:
                 assert f" {error.exit_code} " in line
+
+
+def test_a_copy_without_room_names_the_file_that_did_not_fit():
+    full = OSError(errno.ENOSPC, "No space left on device", "photo.jpg", None, "store/photo.jpg")
+    assert "no space left writing store/photo.jpg" in str(errors.from_os_error(full))

@@ -7,7 +7,7 @@ from inpaint3d.contracts.artifacts import MaskRequestArtifact, Source
 from inpaint3d.contracts.artifacts.masks import MaskRequest
 from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
-from inpaint3d.contracts.manifest import MANIFEST, Manifest, compatible, describe_files, schema_id
+from inpaint3d.contracts.manifest import MANIFEST, Manifest, compatible, describe_file, describe_files, schema_id
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.store import Store
 
@@ -17,10 +17,9 @@ def take_capture(store: Store, path: Path) -> Digest:
     if not path.exists():
         raise BadInputError(f"{path} does not exist; give a folder of photos, a data set, or a video file")
     metadata = Source(name=path.resolve().name, kind="folder" if path.is_dir() else "file")
-    entries = describe_files(path) if path.is_dir() else describe_files(path.parent)
-    wanted = [e for e in entries if path.is_dir() or e.path == path.name]
-    visible = [e for e in wanted if not any(part.startswith(".") for part in e.path.split("/"))]
     root = path if path.is_dir() else path.parent
+    entries = describe_files(path) if path.is_dir() else (describe_file(root, path),)
+    visible = [e for e in entries if not any(part.startswith(".") for part in e.path.split("/"))]
     files = tuple(e.model_copy(update={"path": f"raw/{e.path}"}) for e in visible)
     manifest = Manifest(schema=schema_id("source"), files=files, metadata=metadata.model_dump(mode="json"))
     if store.damage(manifest.digest) is None:

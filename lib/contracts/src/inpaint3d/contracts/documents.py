@@ -22,7 +22,8 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read {path}: {error}; give a YAML file") from error
+        what = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise ConfigurationError(f"cannot read {path}: {what}; give a YAML file") from error
     try:
         loader = cast(Any, LOADER(text))
         node = cast(yaml.Node | None, loader.get_single_node())
@@ -32,9 +33,10 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
         _index(node, (), lines, path)
         return loader.construct_document(node), lines
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
+        # What is never closed is noticed at the end of the file; the line to repair is where it was opened.
+        mark = getattr(error, "context_mark", None) or getattr(error, "problem_mark", None)
         line = f":{mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or error
+        problem = ", ".join(str(p) for n in ("context", "problem") if (p := getattr(error, n, None))) or error
         raise ConfigurationError(f"{path}{line}: not valid YAML: {problem}") from error
 
 

@@ -70,9 +70,9 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 def from_os_error(error: OSError) -> Inpaint3dError:
     """The tree's word for an operating system error met while reading or writing artifacts."""
-    where = error.filename or "the store"
+    where = error.filename2 or error.filename or "the store"  # of a copy, the file that could not be written
     if error.errno in _DISK_FULL:
         return StorageError(f"no space left writing {where}; free some (inpaint3d gc helps) and run again")
     if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-        return StorageError(f"cannot write {where}: {error.strerror}; check its permissions")
+        return StorageError(f"no access to {where}: {error.strerror}; check its permissions")
     return Inpaint3dError(f"{where}: {error.strerror or error}")

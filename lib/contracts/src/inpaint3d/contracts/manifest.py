@@ -68,14 +68,17 @@ def compatible(written: str, wanted: str) -> bool:
 
 def describe_files(root: Path) -> tuple[FileEntry, ...]:
     """Every file below `root` but the manifest itself, sorted by path, with size and sha256."""
-    entries: list[FileEntry] = []
-    for path in sorted(root.rglob("*")):
-        relative = path.relative_to(root).as_posix()
-        if path.is_file() and relative != MANIFEST:
-            media = MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
-            sha = file_digest(path).removeprefix("sha256:")
-            entries.append(FileEntry(path=relative, mediaType=media, sha256=sha, size=path.stat().st_size))
-    return tuple(entries)
+    return tuple(describe_file(root, p) for p in sorted(root.rglob("*")) if p.is_file() and p != root / MANIFEST)
+
+
+def describe_file(root: Path, path: Path) -> FileEntry:
+    """One file below `root`, with size and sha256."""
+    return FileEntry(
+        path=path.relative_to(root).as_posix(),
+        mediaType=MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream"),
+        sha256=file_digest(path).removeprefix("sha256:"),
+        size=path.stat().st_size,
+    )
 
 
 def build_manifest(root: Path, name: str, metadata: Closed) -> Manifest:
