@@ -23,13 +23,19 @@ def verify(store: Store) -> list[str]:
 
 
 def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
-    """Remove what the last `keep` runs of each name do not need. Returns bytes and artifacts freed."""
+    """Remove what the last `keep` runs of each name, and the last `keep` whole ones, do not need.
+
+    Returns bytes and artifacts freed.
+    """
     keys, objects = _needed(store, keep)
     gone = [p for p in (store.root / "objects").iterdir() if f"sha256:{p.name}" not in objects]
     stale = [r.key for r in store.records() if r.key not in keys]
-    litter = [p for place in ("work", "quarantine") for p in (store.root / place).iterdir()]
+    # The checkpoints of a stage that is running now are no litter.
+    litter = [p for p in (store.root / "work").iterdir() if not store.locked(p.name)]
+    litter += (store.root / "quarantine").iterdir()
     freed = sum(_size(p) for p in (*gone, *litter))
     if not dry_run:
+        store.sweep_tmp()
         for key in stale:  # keys first: a kill in between leaves no key without its objects
             store.record_path(key).unlink()
         for path in (*gone, *litter):
@@ -42,8 +48,11 @@ def _needed(store: Store, keep: int) -> tuple[set[Digest], set[Digest]]:
     keys: set[Digest] = set()
     objects: set[Digest] = set()
     for name in history.names():
+        whole = 0
         for i, record in enumerate(history.of(name)):
-            if i < keep:
+            # A run that failed or was killed early names little: the last whole ones are kept besides.
+            whole += record.status == "done"
+            if i < keep or (record.status == "done" and whole <= keep):
                 objects |= set(record.externals.values())
                 keys |= {n.key for n in record.nodes if n.key is not None}
                 objects |= {d for n in record.nodes for d in n.outputs.values()}

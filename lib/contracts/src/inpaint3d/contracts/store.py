@@ -232,6 +232,18 @@ class Store:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
 
+    def locked(self, name: str) -> bool:
+        """Whether somebody holds a lock at this moment."""
+        path = self.root / "locks" / name.removeprefix("sha256:")
+        if not path.exists():
+            return False
+        with path.open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+        return False
+
     def sweep_tmp(self) -> None:
         """Remove private folders whose process is gone."""
         for path in (self.root / "tmp").iterdir():
