@@ -31,6 +31,7 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     assert set(cli.statuses().values()) == {"done"}
     schema = json.loads((REPOSITORY / "schemas" / "report" / "1.json").read_text())
     jsonschema.validate(json.loads((folder / "metrics.json").read_text()), schema)
+    assert cli("show", "tiny", "--json").stdout == (folder / "metrics.json").read_text()
 
     again = cli(*arguments)
     assert "nothing to be done" in again.stderr
@@ -105,6 +106,57 @@ def test_lineage_leads_back_to_the_photos_and_gc_keeps_what_is_needed(ran):
     assert cli("gc").returncode == 0
     assert cli("lineage", "tiny").stdout == lines
     assert "nothing to be done" in cli(*arguments).stderr
+
+
+def test_gc_keeps_the_last_whole_run_when_a_later_one_did_not_end(ran):
+    cli, arguments = ran
+    whole = next((cli.store / "runs" / "tiny").glob("*.json"))
+    early = json.loads(whole.read_text()) | {"id": "29991231T000000000000-dead", "status": "running", "nodes": []}
+    (whole.parent / f"{early['id']}.json").write_text(json.dumps(early))
+    assert cli("gc").returncode == 0
+    assert "nothing to be done" in cli(*arguments).stderr
+
+
+def test_the_map_shows_every_node_and_what_it_leads_to():
+    words = (REPOSITORY / "ARCHITECTURE.md").read_text()
+    picture = words.split("```")[1]
+    assert [n for n in PIPELINE.order if n not in picture] == []
+
+
+def test_names_of_runs_are_folders_below_the_results(cli, tmp_path):
+    folder = tmp_path / "my.photos.v2"
+    folder.mkdir()
+    (folder / "note.txt").write_text("stubs do not look")
+    assert cli("run", str(folder), "--stub", "--until", "capture-ingest").returncode == 0
+    assert (cli.runs / "my.photos.v2" / "metrics.json").is_file()
+    for name in ("../elsewhere", "..", ""):
+        result = cli("run", str(folder), "--stub", "--name", name)
+        assert result.returncode == 2
+        assert "--name" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--only", "evaluation", "--until", "evaluation"), "neither --from nor --until"),
+        (("--from", "evaluation", "--until", "capture-ingest"), "no stage lies between"),
+        (("--log-format", "xml"), "'xml' is not one of"),
+        (("--device", "tpu"), "'tpu' is not one of"),
+    ],
+)
+def test_options_that_make_no_sense_together_or_alone(cli, capture, options, says):
+    result = cli("run", str(capture), "--stub", *options)
+    assert result.returncode == 2
+    assert says in result.stderr
+    assert not (cli.store / "runs").exists()
+
+
+def test_json_lines_are_json(cli, capture):
+    result = cli("run", str(capture), "--stub", "--until", "capture-ingest", "--log-format", "json")
+    events = [json.loads(line) for line in result.stdout.splitlines()]
+    assert [e["status"] for e in events if e.get("event") == "stage" and e["stage"] == "capture-ingest"] == [
+        "running", "done",
+    ]  # fmt: skip
 
 
 def test_scenes_fan_out(cli, tmp_path):

@@ -7,7 +7,7 @@ Exit codes are those of `inpaint3d.contracts.errors`: 0 done, 2 configuration, 3
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -44,9 +44,12 @@ From = Annotated[str | None, typer.Option("--from", help="run this stage and wha
 Until = Annotated[str | None, typer.Option(help="run up to this stage")]
 Force = Annotated[bool, typer.Option("--force", help="compute again what is selected, even if up to date")]
 PipelinePath = Annotated[Path | None, typer.Option("--pipeline", help="default: the nearest pipeline.yaml")]
-LogFormat = Annotated[str, typer.Option(help="auto (a table on a terminal, JSON lines elsewhere), table, json")]
+LogFormat = Annotated[
+    Literal["auto", "table", "json"],
+    typer.Option(help="auto (a table on a terminal, JSON lines elsewhere), table, json"),
+]
 Seed = Annotated[int, typer.Option(help="seed of every stage")]
-Device = Annotated[str, typer.Option(help="cpu or cuda")]
+Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="what stages that can use a GPU run on")]
 Stub = Annotated[bool, typer.Option("--stub", help="run every stage's stub: the whole DAG in seconds, no numeric work")]
 Prior = Annotated[Path | None, typer.Option(help="folder of a diffusion-prior artifact to start from")]
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
@@ -100,7 +103,7 @@ def _planner(
         pipeline=pipeline,
         store=store,
         history=History(store),
-        name=name or capture.resolve().stem,
+        name=_run_name(capture, name),
         preset=preset or pipeline.spec.spec.defaultPreset,
         externals=externals,
         overrides=parse_overrides(pipeline, assignments or []),
@@ -110,6 +113,15 @@ def _planner(
     )
 
 
+def _run_name(capture: Path, given: str | None) -> str:
+    """The name given, else the capture's folder name. It is a folder's name, so that it cannot lead elsewhere."""
+    whole = capture.resolve()
+    name = given if given is not None else whole.name if whole.is_dir() else whole.stem
+    if name in ("", ".", "..") or "/" in name:
+        raise ConfigurationError(f"--name {name}: it names a folder below --runs-dir; give one without a slash")
+    return name
+
+
 def _scenes(capture: Path, scenes: list[str] | None, name: str | None) -> list[tuple[Path, str | None]]:
     """The captures to run, with their names: the one given, or one for each `--scene` below it."""
     if not scenes:
@@ -117,7 +129,8 @@ def _scenes(capture: Path, scenes: list[str] | None, name: str | None) -> list[t
     for scene in scenes:
         if not (capture / scene).exists():
             raise ConfigurationError(f"--scene {scene}: there is no {capture / scene}")
-    return [(capture / scene, f"{name}-{scene}" if name else scene) for scene in scenes]
+    named = {scene: "-".join(Path(scene).parts) for scene in scenes}
+    return [(capture / scene, f"{name}-{n}" if name else n) for scene, n in named.items()]
 
 
 @app.command()
@@ -156,6 +169,8 @@ def run(
         record = scheduler.run()
         publish(opened, record, folder)
         codes.append(_conclude(record, folder))
+        if record.status == "stopped":
+            break  # whoever stopped this scene meant the others too
     raise typer.Exit(max(codes))
 
 
@@ -171,8 +186,9 @@ def _conclude(record: RunRecord, folder: Path) -> int:
         sys.stderr.write(f"{record.name}: {node.node} {node.status}: {node.error}\n")
     if failed:
         return max(n.exit_code or 1 for n in failed)
-    blocked = [f"{n.node} ({n.reason})" for n in record.nodes if n.status in ("pending", "skipped")]
-    sys.stderr.write(f"{record.name}: {record.status}; not run: {', '.join(blocked)}\n")
+    blocked = [f"{n.node} ({n.reason})" for n in record.nodes if n.status == "pending"]
+    repair = "run again to go on" if record.status == "stopped" else "run those first, or leave out --only and --from"
+    sys.stderr.write(f"{record.name}: {record.status}; not run: {', '.join(blocked)}; {repair}\n")
     return 143 if record.status == "stopped" else ConfigurationError.exit_code
 
 

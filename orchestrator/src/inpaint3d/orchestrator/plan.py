@@ -32,12 +32,16 @@ class Selection:
             if name is not None and name not in pipeline.nodes:
                 raise ConfigurationError(f"no stage {name} in {pipeline.path}; there are {', '.join(pipeline.order)}")
         if self.only is not None:
+            if self.start is not None or self.until is not None:
+                raise ConfigurationError("--only goes with neither --from nor --until; leave one out")
             return [self.only]
         chosen = set(pipeline.order)
         if self.start is not None:
             chosen &= {self.start} | pipeline.downstream(self.start)
         if self.until is not None:
             chosen &= {self.until} | {n for n in pipeline.order if self.until in pipeline.downstream(n)}
+        if not chosen:
+            raise ConfigurationError(f"no stage lies between --from {self.start} and --until {self.until}; swap them")
         return [n for n in pipeline.order if n in chosen]
 
 

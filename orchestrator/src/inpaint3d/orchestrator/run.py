@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from inpaint3d.contracts.errors import EXIT_CODES, InterruptedRun, RetryableError, WaitingError
+from inpaint3d.contracts.errors import EXIT_CODES, Inpaint3dError, InterruptedRun, RetryableError, WaitingError
 from inpaint3d.contracts.report import NodeRun, RunRecord, Status
 from inpaint3d.contracts.shim import Invocation
 from inpaint3d.contracts.store import Record
@@ -150,7 +150,9 @@ class Scheduler:
         # A negative code is a signal's number: 128 + n is what a shell shows.
         code = code if code > 0 else 128 - code
         log = self.folder / "logs" / f"{task.node}.log"
-        message = running.last_error.get("message") or f"{EXIT_CODES.get(code, 'died')} (exit {code}); see {log}"
+        message = running.last_error.get("message") or f"{EXIT_CODES.get(code, 'died')} (exit {code})"
+        if code not in EXIT_CODES or code == Inpaint3dError.exit_code:
+            message = f"{message}; see {log}"
         status: Status = "failed"
         if code == WaitingError.exit_code:
             status = "waiting"
