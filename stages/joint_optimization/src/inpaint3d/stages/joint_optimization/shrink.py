@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.stages.joint_optimization.scene import Mask, SceneView
 
-DEPTH_TOLERANCE = 0.03
-"""How far, as a share of depth, a point may lie from another view's surface and still be that surface."""
+TOLERANCE = 1.5
+"""Cells by which a surface point may miss the pixel it came from, seen there and back through another view's depth.
+
+Both views' depth errors count as far as they show: far away, where little parallax is left, depths may differ a lot.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,29 +31,31 @@ def shrunk(views: Sequence[SceneView], depths: Mapping[str, NDArray[np.float32]]
 
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
     alone. A masked pixel is known elsewhere if the surface point behind it projects onto known pixels of other views,
-    at their depth. What a hole loses is neither hole nor known: nothing is distilled there, and the photo's pixels
-    stay blank.
+    and what they see there projects back onto it. What a hole loses is neither hole nor known: nothing is distilled
+    there, and the photo's pixels stay blank.
     """
     coarse = [coarsened(v, depths[v.name]) for v in views]
     reduced = []
     for index, (view, own) in enumerate(zip(views, coarse, strict=True)):
         witnesses = np.zeros(own.hole.shape, np.int64)
         y, x = np.nonzero(own.hole)
-        points = own.camera.unproject(np.stack([x + 0.5, y + 0.5], -1), own.depth[y, x])
+        pixels = np.stack([x + 0.5, y + 0.5], -1)
+        points = own.camera.unproject(pixels, own.depth[y, x])
         for other in (*coarse[:index], *coarse[index + 1 :]):
-            witnesses[y, x] += witnessed(other, points)
+            witnesses[y, x] += witnessed(other, points, own.camera, pixels)
         unseen = grown(own.hole & (witnesses < least_views))
         reduced.append(replace(view, hole=view.hole & enlarged(unseen, view.hole.shape)))
     return reduced
 
 
-def witnessed(view: Coarse, points: NDArray[np.float64]) -> Mask:
-    """Which points [n, 3] lie on a surface that the view shows outside its mask."""
+def witnessed(view: Coarse, points: NDArray[np.float64], own: Camera, pixels: NDArray[np.float64]) -> Mask:
+    """Which points [n, 3], seen by `own` at `pixels` [n, 2], lie on a surface that the view shows outside its mask."""
     xy, z = view.camera.project(points)
     inside = view.camera.inside(xy, z)
     x, y = (np.where(inside, xy[:, axis], 0).astype(np.int64) for axis in (0, 1))
-    met = view.depth[y, x]
-    return inside & view.known[y, x] & (np.abs(z - met) < DEPTH_TOLERANCE * met)
+    back, depth = own.project(view.camera.unproject(xy, view.depth[y, x]))
+    missed = np.linalg.norm(back - pixels, axis=-1)
+    return inside & view.known[y, x] & (depth > 0) & (missed < TOLERANCE)
 
 
 def coarsened(view: SceneView, depth: NDArray[np.float32]) -> Coarse:
