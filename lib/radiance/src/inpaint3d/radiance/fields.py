@@ -28,7 +28,7 @@ class Samples(NamedTuple):
     diffuse: Float[Tensor, "n 3"]
 
 
-def bounded(logits: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def bounded(logits: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
     """Colours in [-0.001, 1.001] (N4: a sigmoid-like map of the paper's sum)."""
     return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
 
@@ -88,27 +88,31 @@ class RadianceField(nn.Module):
     def query(
         self,
         points: Float[Tensor, "n 3"],
-        towards: Float[Tensor, "n 3"],
-        appearance: Float[Tensor, "m 6"] | None = None,
+        towards: Float[Tensor, "m 3"],
+        appearance: Float[Tensor, "_ 6"] | None = None,
         specular_scale: float = 1.0,
     ) -> Samples:
         """Density and colours at scene points seen along unit directions.
 
-        The colour is bounded(diffuse + specular_scale * specular), after the view's gain and offset (`appearance`: a
-        row for each point, or one for all).
+        towards: one direction for each run of n / m points: each point's own, or its ray's. The colour is
+        bounded(diffuse + specular_scale * specular), after the view's gain and offset (`appearance`: a row for each
+        direction, or one for all).
         """
         heads = self.base(self._cube(points), self.backend)
-        density = _density(heads[:, 0])
-        diffuse, gain, offset = heads[:, 1:4], None, None
+        # By ray, so that what is a ray's is computed once. Split, not sliced: one gradient, not a sum of three.
+        runs = (len(towards), len(points) // max(len(towards), 1))
+        raw, diffuse, bottleneck = heads.split([1, 3, heads.shape[1] - 4], 1)
+        density, diffuse, gain, offset = _density(raw[:, 0]), diffuse.reshape(*runs, 3), None, None
         if appearance is not None:
-            gain, offset = torch.exp(appearance[:, :3]), appearance[:, 3:]
-        shown = _exposed(diffuse, gain, offset)
+            gain, offset = torch.exp(appearance[:, None, :3]), appearance[:, None, 3:]
+        shown = bounded(_exposed(diffuse, gain, offset)).flatten(0, 1)
         if not self.spec.view_layers:
-            return Samples(density, bounded(shown), bounded(shown))
-        inputs = torch.cat([heads[:, 4:], directions.spherical_harmonics(towards)], -1)
-        specular = self.backend.mlp(inputs, list(self.specular))
-        total = _exposed(diffuse + specular_scale * specular, gain, offset)
-        return Samples(density, bounded(total), bounded(shown))
+            return Samples(density, shown, shown)
+        harmonics = directions.spherical_harmonics(towards)[:, None].expand(*runs, -1)
+        inputs = torch.cat([bottleneck.reshape(*runs, bottleneck.shape[1]), harmonics], -1)
+        specular = self.backend.mlp(inputs.flatten(0, 1), list(self.specular)).reshape(*runs, 3)
+        total = bounded(_exposed(diffuse + specular_scale * specular, gain, offset))
+        return Samples(density, total.flatten(0, 1), shown)
 
 
 class HashNetwork(nn.Module):

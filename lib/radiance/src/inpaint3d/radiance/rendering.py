@@ -1,7 +1,7 @@
 """From rays to colours, opacity and depth: proposal rounds, the field, and volume rendering."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -59,11 +59,7 @@ def render(
     tdist = field.spacing.metric_from_normalised(sdist)
     r, s = len(sdist), sdist.shape[1] - 1
     appearance = field.appearance(flat.view, glo)
-    if appearance is not None and len(appearance) == r:
-        appearance = appearance.repeat_interleave(s, 0)
-    points = _points(flat, tdist)
-    towards = flat.directions[:, None].expand(r, s, 3).reshape(-1, 3)
-    samples = field.query(points, towards, appearance, specular_scale)
+    samples = field.query(_points(flat, tdist), flat.directions, appearance, specular_scale)
     density, rgb = samples.density.reshape(r, s), samples.rgb.reshape(r, s, 3)
     if not near_gradient:
         density, rgb = damped(density, rgb, tdist)
@@ -96,7 +92,8 @@ def _propose(
         jitter = None
         if generator is not None:
             jitter = torch.rand(r, count, generator=generator, device=generator.device).to(device)
-        sdist = field.backend.resample(sdist.contiguous(), weights.detach() ** anneal, count, jitter)
+        mass = weights.detach() if anneal == 1 else weights.detach() ** anneal
+        sdist = field.backend.resample(sdist.contiguous(), mass, count, jitter)
         if level == len(field.spec.proposal_samples):
             break
         tdist = field.spacing.metric_from_normalised(sdist)
@@ -121,11 +118,20 @@ def damped(
     """
     middle = ((tdist[:, 1:] + tdist[:, :-1]) / 2).detach()
     share = middle.square().clamp(max=1)
-
-    def scaled(x: Tensor, share: Tensor) -> Tensor:
-        return x.detach() + (x - x.detach()) * share
-
+    scaled: Any = _GradientTimes.apply
     return scaled(density, share), scaled(rgb, share[..., None])
+
+
+class _GradientTimes(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, share: Tensor) -> Tensor:
+        ctx.save_for_backward(share)
+        return x.view_as(x)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (share,) = ctx.saved_tensors
+        return grads[0] * share, None
 
 
 @torch.no_grad()
