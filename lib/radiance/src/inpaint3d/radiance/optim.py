@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.memory import roomy
 
 BETAS = (0.9, 0.99)
 EPS = 1e-15
@@ -54,7 +55,7 @@ class Adam(torch.optim.Optimizer):
         """Adam's m and v of a parameter; zeros before its first step."""
         state = self.state[param]
         if not state:
-            state["m"], state["v"] = torch.zeros_like(param), torch.zeros_like(param)
+            state["m"], state["v"] = roomy(param).zero_(), roomy(param).zero_()
         return state["m"], state["v"]
 
     @torch.no_grad()

@@ -16,6 +16,7 @@ from torch import Tensor
 from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
+from inpaint3d.radiance.memory import GradientMemory
 
 __all__ = ["adam_step", "composite", "hash_encode", "mlp", "resample"]
 
@@ -28,9 +29,9 @@ def supported(*tensors: Tensor) -> bool:
 class _HashEncode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, points: Tensor, table: Tensor, levels: Sequence[Level]) -> Tensor:
+        ctx.levels, ctx.table = levels, table  # the table itself: its gradient's memory is known by it
         points, table = points.contiguous(), table.contiguous()
         ctx.save_for_backward(points)
-        ctx.levels, ctx.shape = levels, table.shape
         out = points.new_empty(points.shape[0], len(levels) * table.shape[1])
         kernels.hash_forward(points.numpy(), table.numpy(), levels, out.numpy(), threads=torch.get_num_threads())
         return out
@@ -42,7 +43,7 @@ class _HashEncode(torch.autograd.Function):
     ) -> tuple[None, Tensor, None]:
         (points,) = ctx.saved_tensors
         (out_grad,) = grad_outputs
-        table_grad = _gradient_of(ctx.shape, ctx.levels, out_grad)
+        table_grad = _gradient_of(ctx.table, ctx.levels)
         kernels.hash_backward(
             points.numpy(),
             out_grad.contiguous().numpy(),
@@ -63,11 +64,13 @@ def hash_encode(
     return _HashEncode.apply(points.detach(), table, levels)
 
 
-def _gradient_of(shape: torch.Size, levels: Sequence[Level], like: Tensor) -> Tensor:
+_gradients = GradientMemory()
+
+
+def _gradient_of(table: Tensor, levels: Sequence[Level]) -> Tensor:
     """Memory for a table's gradient; zero where no level will write."""
-    if sum(level.size for level in levels) == shape[0]:
-        return like.new_empty(shape)
-    return like.new_zeros(shape)
+    grad = _gradients.take(table)
+    return grad if sum(level.size for level in levels) == len(table) else grad.zero_()
 
 
 class _Mlp(torch.autograd.Function):
