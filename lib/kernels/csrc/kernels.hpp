@@ -45,6 +45,12 @@ struct CompositeGrad {
   const float *weights, *rgb, *opacity, *depth_sum;
 };
 
+// Two histograms for each ray: ends [rays, n + 1] and weights [rays, n]; m intervals in the other.
+struct Histograms {
+  const float *ends, *weights, *other_ends, *other_weights;
+  int64_t rays, n, m;
+};
+
 // weights[l] is [width[l + 1], width[l]]; biases is null where there are none.
 struct Network {
   int layers;
@@ -64,7 +70,6 @@ struct Kernels {
   // Overwrites the levels' entries of table_grad.
   void (*hash_backward)(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad,
                         int threads);
-  // The mean square of each level's numbers, and the gradient of their sum (overwrites the levels' entries).
   void (*mlp_forward)(const float* x, int64_t count, Network net, float* out, int threads);
   // x_grad may be null.
   void (*mlp_backward)(const float* x, int64_t count, Network net, const float* out_grad, float* x_grad,
@@ -75,6 +80,11 @@ struct Kernels {
   // sdist [rays, n + 1], weights [rays, n], jitter [rays, count] or null, out [rays, count + 1].
   void (*resample)(const float* sdist, const float* weights, int64_t rays, int64_t n, int64_t count,
                    const float* jitter, float* out, int threads);
+  // Contracts space into the ball of radius 2, and that into [0, 1]^3; points and out are [count, 3].
+  void (*unit_cube)(const float* points, int64_t count, float* out, int threads);
+  // out, out_grad [rays]; grad [rays, m] is that of other_weights.
+  void (*interlevel_forward)(Histograms h, float* out, int threads);
+  void (*interlevel_backward)(Histograms h, const float* out_grad, float* grad, int threads);
   void (*adam)(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
 };
 

@@ -208,6 +208,45 @@ void resample(In<nb::ndim<2>> sdist, In<nb::ndim<2>> weights, std::optional<In<n
   run(sdist.data(), weights.data(), rays, n, count, jitter ? jitter->data() : nullptr, out.data(), threads);
 }
 
+void unit_cube(In<nb::shape<-1, 3>> points, Out<nb::shape<-1, 3>> out, int threads) {
+  require_shape(out, {static_cast<int64_t>(points.shape(0)), 3}, "out");
+  const auto run = active().unit_cube;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(points.data(), static_cast<int64_t>(points.shape(0)), out.data(), threads);
+}
+
+Histograms checked_histograms(const In<nb::ndim<2>>& ends, const In<nb::ndim<2>>& weights,
+                              const In<nb::ndim<2>>& other_ends, const In<nb::ndim<2>>& other_weights) {
+  const auto rays = static_cast<int64_t>(weights.shape(0)), n = static_cast<int64_t>(weights.shape(1));
+  const auto m = static_cast<int64_t>(other_weights.shape(1));
+  require_shape(ends, {rays, n + 1}, "ends");
+  require_shape(other_weights, {rays, m}, "other_weights");
+  require_shape(other_ends, {rays, m + 1}, "other_ends");
+  return {ends.data(), weights.data(), other_ends.data(), other_weights.data(), rays, n, m};
+}
+
+void interlevel_forward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::ndim<2>> other_ends,
+                        In<nb::ndim<2>> other_weights, Out<nb::ndim<1>> out, int threads) {
+  const Histograms histograms = checked_histograms(ends, weights, other_ends, other_weights);
+  require_shape(out, {histograms.rays}, "out");
+  const auto run = active().interlevel_forward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(histograms, out.data(), threads);
+}
+
+void interlevel_backward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::ndim<2>> other_ends,
+                         In<nb::ndim<2>> other_weights, In<nb::ndim<1>> out_grad, Out<nb::ndim<2>> grad, int threads) {
+  const Histograms histograms = checked_histograms(ends, weights, other_ends, other_weights);
+  require_shape(out_grad, {histograms.rays}, "out_grad");
+  require_shape(grad, {histograms.rays, histograms.m}, "grad");
+  const auto run = active().interlevel_backward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(histograms, out_grad.data(), grad.data(), threads);
+}
+
 void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, int64_t step,
           double lr, double beta1, double beta2, double eps, double decay, int threads) {
   const size_t count = param.shape(0);
@@ -252,6 +291,13 @@ NB_MODULE(_native, module) {
              "density_grad"_a.noconvert(), "rgb_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("resample", &resample, "sdist"_a.noconvert(), "weights"_a.noconvert(), "jitter"_a.noconvert().none(),
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("unit_cube", &unit_cube, "points"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("interlevel_forward", &interlevel_forward, "ends"_a.noconvert(), "weights"_a.noconvert(),
+             "other_ends"_a.noconvert(), "other_weights"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(),
+             "threads"_a = 1);
+  module.def("interlevel_backward", &interlevel_backward, "ends"_a.noconvert(), "weights"_a.noconvert(),
+             "other_ends"_a.noconvert(), "other_weights"_a.noconvert(), "out_grad"_a.noconvert(),
+             "grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(),
              nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "decay"_a = 0.0, "threads"_a = 1);
 }

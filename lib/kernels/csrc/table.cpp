@@ -7,6 +7,7 @@
 namespace inpaint3d::INPAINT3D_ISA {
 
 const Kernels kKernels = {INPAINT3D_NAME(INPAINT3D_ISA), hash_forward, hash_backward, mlp_forward, mlp_backward,
-                          composite_forward, composite_backward, resample, adam};
+                          composite_forward, composite_backward, resample, unit_cube, interlevel_forward,
+                          interlevel_backward, adam};
 
 }  // namespace inpaint3d::INPAINT3D_ISA

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.radiance.backends.reference import outer_measure
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import (
     charbonnier,
@@ -13,7 +14,6 @@ from inpaint3d.radiance.losses import (
     distortion_loss,
     hash_decay,
     interlevel_loss,
-    outer_measure,
 )
 from inpaint3d.radiance.rendering import Rendering
 from inpaint3d.radiance.spacing import power_ladder

@@ -247,6 +247,50 @@ def test_resample_takes_a_jitter_of_any_size(isa):
     torch.testing.assert_close(out, reference.resample(sdist, weights, 3, jitter))
 
 
+@pytest.mark.parametrize("count", [0, 1, 33, 5000])
+def test_unit_cube_equals_the_reference(isa, threads, count):
+    points = normal(3, count).T * 10 ** (6 * uniform(count, 1) - 2)
+    truth = reference.unit_cube(points.double(), True, 1.0)
+    torch.testing.assert_close(native.unit_cube(points, True, 1.0), truth.float(), atol=2e-7, rtol=0)
+    assert torch.equal(native.unit_cube(points, False, 3.0), reference.unit_cube(points, False, 3.0))
+
+
+def test_unit_cube_differentiates_points_where_they_ask():
+    points = normal(9, 3).requires_grad_()
+    (grad,) = torch.autograd.grad(native.unit_cube(points, True, 1.0).square().sum(), points)
+    assert grad.abs().max() > 0
+
+
+def histogram(rays, n, seed):
+    steps = uniform(rays, n, seed=seed) + 0.05
+    ends = torch.nn.functional.pad(steps.cumsum(1) / steps.sum(1, keepdim=True), (1, 0))
+    return ends, uniform(rays, n, seed=seed + 1) / n
+
+
+@pytest.mark.parametrize(("rays", "n", "m"), [(0, 4, 4), (1, 1, 1), (300, 24, 48), (7, 33, 64)])
+def test_interlevel_equals_the_reference(isa, threads, rays, n, m):
+    (ends, weights), (other_ends, other_weights) = histogram(rays, n, seed=0), histogram(rays, m, seed=5)
+    # Not contiguous, and too small to bound the first.
+    other_weights = (0.5 * other_weights).T.contiguous().T
+    exact = [tensor.double() for tensor in (ends, weights, other_ends)]
+    out_grad = normal(rays)
+    outs, grads = gradients(lambda w: native.interlevel(ends, weights, other_ends, w), [other_weights], [out_grad])
+    truths, slopes = gradients(lambda w: reference.interlevel(*exact, w), [other_weights.double()], [out_grad])
+    torch.testing.assert_close(outs[0], truths[0].float(), atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(grads[0], slopes[0].float(), atol=1e-4, rtol=1e-4)
+
+
+def test_cube_and_interlevel_bits_do_not_depend_on_threads():
+    points, histograms = normal(20000, 3), (*histogram(700, 24, 0), *histogram(700, 48, 5))
+    results = []
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        outs, grads = gradients(lambda w: native.interlevel(*histograms[:3], w), [histograms[3]], [normal(700)])
+        results.append((native.unit_cube(points, True, 1.0), *outs, *grads))
+    torch.set_num_threads(1)
+    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
+
+
 @pytest.mark.parametrize("shape", [(0,), (7,), (33, 5), (70000,)])
 @pytest.mark.parametrize("decay", [0.0, 1e-3])
 def test_adam_equals_the_reference(isa, threads, shape, decay):

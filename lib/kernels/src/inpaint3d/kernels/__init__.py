@@ -11,12 +11,15 @@ from inpaint3d.kernels._native import (
     composite_forward,
     hash_backward,
     hash_forward,
+    interlevel_backward,
+    interlevel_forward,
     isa,
     isas,
     mlp_backward,
     mlp_forward,
     resample,
     set_isa,
+    unit_cube,
 )
 
 __all__ = [
@@ -25,10 +28,13 @@ __all__ = [
     "composite_forward",
     "hash_backward",
     "hash_forward",
+    "interlevel_backward",
+    "interlevel_forward",
     "isa",
     "isas",
     "mlp_backward",
     "mlp_forward",
     "resample",
     "set_isa",
+    "unit_cube",
 ]

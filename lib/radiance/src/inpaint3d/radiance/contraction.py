@@ -12,6 +12,6 @@ def contract(points: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
     return points * ((2 - 1 / length) / length)
 
 
-def unit_cube(points: Float[Tensor, "*n 3"], *, contraction: bool, bound: float) -> Float[Tensor, "*n 3"]:
+def unit_cube(points: Float[Tensor, "n 3"], contraction: bool, bound: float) -> Float[Tensor, "n 3"]:
     """Scene points to [0, 1]^3, where grids live: contracted, or the cube of half side `bound` as it is."""
     return (contract(points) / 2 + 1) / 2 if contraction else (points / bound + 1) / 2

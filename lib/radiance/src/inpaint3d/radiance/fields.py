@@ -11,7 +11,6 @@ from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.radiance import backends, directions, safe
 from inpaint3d.radiance.architecture import levels_of, parameter_shapes
-from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.memory import roomy
 from inpaint3d.radiance.spacing import Spacing
 
@@ -66,7 +65,7 @@ class RadianceField(nn.Module):
 
     def _cube(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Points in the grids' cube. Without contraction, space beyond the cube continues its border."""
-        cube = unit_cube(points, contraction=self.spec.contraction, bound=self.spec.bound)
+        cube = self.backend.unit_cube(points, self.spec.contraction, self.spec.bound)
         return cube if self.spec.contraction else cube.clamp(0, 1)
 
     def proposal_density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -112,7 +111,7 @@ class RadianceField(nn.Module):
         harmonics = directions.spherical_harmonics(towards)[:, None].expand(*runs, -1)
         inputs = torch.cat([bottleneck.reshape(*runs, bottleneck.shape[1]), harmonics], -1)
         specular = self.backend.mlp(inputs.flatten(0, 1), list(self.specular)).reshape(*runs, 3)
-        total = bounded(_exposed(diffuse + specular_scale * specular, gain, offset))
+        total = bounded(_exposed(torch.add(diffuse, specular, alpha=specular_scale), gain, offset))
         return Samples(density, total.flatten(0, 1), shown)
 
 
@@ -146,7 +145,7 @@ def _density(raw: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
 
 
 def _exposed(logits: Tensor, gain: Tensor | None, offset: Tensor | None) -> Tensor:
-    return logits if gain is None or offset is None else logits * gain + offset
+    return logits if gain is None or offset is None else torch.addcmul(offset, logits, gain)
 
 
 def _check(spec: FieldSpec) -> None:

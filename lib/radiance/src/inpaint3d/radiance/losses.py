@@ -1,10 +1,10 @@
 """The paper's losses on a field (equations in the method section, details in its appendix; conformance L1 to L8)."""
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rendering import Rendering
 from inpaint3d.radiance.spacing import below_limit
@@ -26,22 +26,9 @@ def interlevel_loss(rendering: Rendering) -> Float[Tensor, ""]:
     ends, weights = rendering.sdist.detach().flatten(0, -2), rendering.weights.detach().flatten(0, -2)
     total = weights.new_zeros(())
     for proposal_ends, proposal_weights in rendering.proposals:
-        bound = outer_measure(ends, proposal_ends.flatten(0, -2), proposal_weights.flatten(0, -2))
-        lacking = (weights - bound).clamp(min=0)
-        total = total + (lacking.square() / (weights + torch.finfo(weights.dtype).eps)).sum(-1).mean()
+        proposal = proposal_ends.flatten(0, -2), proposal_weights.flatten(0, -2)
+        total = total + backends.select(ends.device).interlevel(ends, weights, *proposal).mean()
     return total
-
-
-def outer_measure(
-    ends: Float[Tensor, "r n"], other_ends: Float[Tensor, "r m"], other_weights: Float[Tensor, "r m-1"]
-) -> Float[Tensor, "r n-1"]:
-    """For each interval, the sum of the other histogram's weights that overlap it, in whole (ibid., eq. 12)."""
-    reached = F.pad(torch.cumsum(other_weights, -1), (1, 0))
-    other_ends = other_ends.contiguous()
-    last = other_weights.shape[1]
-    low = torch.searchsorted(other_ends, ends[:, :-1].contiguous(), right=True).sub_(1).clamp_(0, last)
-    high = torch.searchsorted(other_ends, ends[:, 1:].contiguous()).clamp_(0, last)
-    return (reached.gather(1, high) - reached.gather(1, low)).clamp(min=0)
 
 
 def distortion_loss(rendering: Rendering, p: float = -1.0, premult: float = 20000.0) -> Float[Tensor, ""]:

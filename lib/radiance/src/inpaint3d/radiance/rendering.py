@@ -66,7 +66,7 @@ def render(
     weights, colour, opacity, depth_sum = field.backend.composite(density, rgb, tdist)
     missing = (1 - opacity)[:, None]
     behind = missing * (background.reshape(r, 3) if isinstance(background, Tensor) else background)
-    diffuse = (weights[..., None] * samples.diffuse.reshape(r, s, 3)).sum(1)
+    diffuse = torch.bmm(weights[:, None], samples.diffuse.reshape(r, s, 3))[:, 0]
     return Rendering(
         rgb=(colour + behind).reshape(*shape, 3),
         diffuse=(diffuse + behind).reshape(*shape, 3),
@@ -106,7 +106,7 @@ def _propose(
 def _points(rays: Rays, tdist: Float[Tensor, "r s"]) -> Float[Tensor, "_ 3"]:
     """The middles of intervals, ray after ray."""
     middle = (tdist[:, 1:] + tdist[:, :-1]) / 2
-    return (rays.origins[:, None] + rays.directions[:, None] * middle[..., None]).reshape(-1, 3)
+    return torch.addcmul(rays.origins[:, None], rays.directions[:, None], middle[..., None]).reshape(-1, 3)
 
 
 def damped(

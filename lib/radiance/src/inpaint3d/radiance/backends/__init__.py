@@ -15,7 +15,7 @@ from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.backends.reference import Level
 
 Name = Literal["reference", "native"]
-OPERATIONS = ("levels_of", "hash_encode", "mlp", "composite", "resample", "adam_step")
+OPERATIONS = ("levels_of", "hash_encode", "mlp", "composite", "resample", "unit_cube", "interlevel", "adam_step")
 
 
 @runtime_checkable
@@ -32,6 +32,10 @@ class Backend(Protocol):
     def composite(density: Tensor, rgb: Tensor, tdist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
     @staticmethod
     def resample(sdist: Tensor, weights: Tensor, count: int, jitter: Tensor | None = None) -> Tensor: ...
+    @staticmethod
+    def unit_cube(points: Tensor, contraction: bool, bound: float) -> Tensor: ...
+    @staticmethod
+    def interlevel(ends: Tensor, weights: Tensor, other_ends: Tensor, other_weights: Tensor) -> Tensor: ...
     @staticmethod
     def adam_step(
         param: Tensor,

@@ -18,7 +18,7 @@ from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.memory import GradientMemory
 
-__all__ = ["adam_step", "composite", "hash_encode", "mlp", "resample"]
+__all__ = ["adam_step", "composite", "hash_encode", "interlevel", "mlp", "resample", "unit_cube"]
 
 
 def supported(*tensors: Tensor) -> bool:
@@ -186,6 +186,51 @@ def resample(
         threads=torch.get_num_threads(),
     )
     return out
+
+
+def unit_cube(points: Float[Tensor, "n 3"], contraction: bool, bound: float) -> Float[Tensor, "n 3"]:
+    """`reference.unit_cube`; no contraction, and points that want a gradient, go there."""
+    wants_points = torch.is_grad_enabled() and points.requires_grad
+    if not contraction or wants_points or not supported(points):
+        return reference.unit_cube(points, contraction, bound)
+    points = points.detach().contiguous()
+    out = torch.empty_like(points)
+    kernels.unit_cube(points.numpy(), out.numpy(), threads=torch.get_num_threads())
+    return out
+
+
+class _Interlevel(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *histograms: Tensor) -> Tensor:
+        histograms = tuple(tensor.contiguous() for tensor in histograms)
+        ctx.save_for_backward(*histograms)
+        out = histograms[0].new_empty(len(histograms[0]))
+        arrays = [tensor.numpy() for tensor in histograms]
+        kernels.interlevel_forward(*arrays, out.numpy(), threads=torch.get_num_threads())
+        return out
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[None, None, None, Tensor]:
+        arrays = [tensor.numpy() for tensor in ctx.saved_tensors]
+        grad = torch.empty_like(ctx.saved_tensors[3])
+        out_grad = grad_outputs[0].contiguous().numpy()
+        kernels.interlevel_backward(*arrays, out_grad, grad.numpy(), threads=torch.get_num_threads())
+        return None, None, None, grad
+
+
+def interlevel(
+    ends: Float[Tensor, "r n"],
+    weights: Float[Tensor, "r n-1"],
+    other_ends: Float[Tensor, "r m"],
+    other_weights: Float[Tensor, "r m-1"],
+) -> Float[Tensor, " r"]:
+    """`reference.interlevel`."""
+    if not supported(ends, weights, other_ends, other_weights):
+        return reference.interlevel(ends, weights, other_ends, other_weights)
+    return _Interlevel.apply(ends.detach(), weights.detach(), other_ends.detach(), other_weights)
 
 
 @torch.no_grad()

@@ -9,9 +9,10 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from inpaint3d.radiance.architecture import Level, levels_of
+from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.volume import alpha_weights
 
-__all__ = ["Level", "adam_step", "composite", "hash_encode", "levels_of", "mlp", "resample"]
+__all__ = ["Level", "adam_step", "composite", "hash_encode", "interlevel", "levels_of", "mlp", "resample", "unit_cube"]
 
 # Instant-NGP's spatial hash (arXiv:2201.05989, eq. 4).
 PRIMES = (1, 2654435761, 805459861)
@@ -112,6 +113,33 @@ def resample(
     first = torch.maximum(2 * centres[:, :1] - middles[:, :1], sdist[:, :1])
     last = torch.minimum(2 * centres[:, -1:] - middles[:, -1:], sdist[:, -1:])
     return torch.cat([first, middles, last], 1)
+
+
+def interlevel(
+    ends: Float[Tensor, "r n"],
+    weights: Float[Tensor, "r n-1"],
+    other_ends: Float[Tensor, "r m"],
+    other_weights: Float[Tensor, "r m-1"],
+) -> Float[Tensor, " r"]:
+    """How far the other histogram fails to bound the first, for each ray (Mip-NeRF 360, arXiv:2111.12077, eq. 13).
+
+    ends are sorted, weights >= 0. Differentiable in other_weights; the first histogram is taken as it is.
+    """
+    weights = weights.detach()
+    lacking = (weights - outer_measure(ends.detach(), other_ends.detach(), other_weights)).clamp(min=0)
+    return (lacking.square() / (weights + torch.finfo(weights.dtype).eps)).sum(-1)
+
+
+def outer_measure(
+    ends: Float[Tensor, "r n"], other_ends: Float[Tensor, "r m"], other_weights: Float[Tensor, "r m-1"]
+) -> Float[Tensor, "r n-1"]:
+    """For each interval, the sum of the other histogram's weights that overlap it, in whole (ibid., eq. 12)."""
+    reached = F.pad(torch.cumsum(other_weights, -1), (1, 0))
+    other_ends = other_ends.contiguous()
+    last = other_weights.shape[1]
+    low = torch.searchsorted(other_ends, ends[:, :-1].contiguous(), right=True).sub_(1).clamp_(0, last)
+    high = torch.searchsorted(other_ends, ends[:, 1:].contiguous()).clamp_(0, last)
+    return (reached.gather(1, high) - reached.gather(1, low)).clamp(min=0)
 
 
 @torch.no_grad()
