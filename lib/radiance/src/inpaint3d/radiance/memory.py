@@ -31,7 +31,9 @@ class GradientMemory:
 
     def take(self, table: Tensor) -> Tensor:
         """Memory of the table's shape that no living tensor uses; not initialised."""
-        arrays: list[NDArray[np.float32]] = self._arrays.setdefault(table, [])
+        if table not in self._arrays:
+            self._arrays[table] = []
+        arrays: list[NDArray[np.float32]] = self._arrays[table]
         for array in arrays:
             if sys.getrefcount(array) == UNUSED:
                 return torch.from_numpy(array)

@@ -129,7 +129,7 @@ class _GradientTimes(torch.autograd.Function):
         return x.view_as(x)
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         (share,) = ctx.saved_tensors
         return grads[0] * share, None
 
