@@ -214,8 +214,8 @@ class _Interlevel(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
         ctx: Any, *grad_outputs: Tensor
     ) -> tuple[None, None, None, Tensor]:
-        arrays = [tensor.numpy() for tensor in ctx.saved_tensors]
-        grad = torch.empty_like(ctx.saved_tensors[3])
+        saved = ctx.saved_tensors
+        arrays, grad = [tensor.numpy() for tensor in saved], torch.empty_like(saved[3])
         out_grad = grad_outputs[0].contiguous().numpy()
         kernels.interlevel_backward(*arrays, out_grad, grad.numpy(), threads=torch.get_num_threads())
         return None, None, None, grad
