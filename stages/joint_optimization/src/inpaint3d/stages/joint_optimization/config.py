@@ -62,8 +62,12 @@ class Config(Closed):
     guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)")
     denoise_steps: Count = Field(default=4, description="DDIM steps of the denoised-target estimator")
     t_max: Share = Field(default=0.95, description="largest diffusion time (S9)")
-    t_min: Share = Field(default=0.2, description="where the upper end of the diffusion times stops (S9)")
-    t_width: Share = Field(default=0.2, description="width of the interval of diffusion times (S9)")
+    t_min: Share = Field(
+        default=0.95,
+        description="where the upper end of the diffusion times stops (S9); 0.2 in the paper. A small prior is biased "
+        "at low times, where nothing pulls the hole back to what surrounds it",
+    )
+    t_width: Share = Field(default=0.1, description="width of the interval of diffusion times (S9); 0.2 in the paper")
     t_floor: Positive = Field(default=0.02, description="no diffusion time lies below this (S9)")
     centre_steps: Steps = Field(default=50, description="distillation steps on the centre views only (S8)")
     centre_views: Count = Field(default=3, description="how many views the centre phase uses (S8)")
