@@ -28,8 +28,8 @@ def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: b
     perceived = _values(done, names.BOX, "lpips_vgg")
     if CONTROL in perceived and first != CONTROL and perceived[first] >= perceived[CONTROL]:
         found.append(
-            f"Weak: the prior adds nothing. The same steps without it ({CONTROL}) come as near to the truth: "
-            f"LPIPS {perceived[CONTROL]:.3f} against {perceived[first]:.3f}."
+            f"Weak: by LPIPS the prior adds nothing to the same steps without it ({CONTROL}): {perceived[first]:.3f} "
+            f"against {perceived[CONTROL]:.3f} (PSNR {box[first]:.2f} against {box[CONTROL]:.2f} dB)."
         )
     known = _values(done, names.HELD_OUT, "psnr")
     for baseline in (names.MEAN_COLOUR, names.WARPED):
