@@ -83,6 +83,28 @@ def resample(sdist: Array, weights: Array, jitter: Array | None, out: Array, *, 
     jitter [r, count] in [0, 1) places each draw in its stratum; None: in the middle.
     """
 
+def unit_cube(points: Array, out: Array, *, threads: int = 1) -> None:
+    """Write the points [n, 3], contracted into the ball of radius 2 and scaled to [0, 1]^3, to out [n, 3]."""
+
+def interlevel_forward(
+    ends: Array, weights: Array, other_ends: Array, other_weights: Array, out: Array, *, threads: int = 1
+) -> None:
+    """Write to out [r] by how much the histogram (other_ends [r, m + 1], other_weights [r, m]) fails to bound
+    (ends [r, n + 1], weights [r, n]): eq. 13 of arXiv:2111.12077, summed over the intervals of a ray.
+    """
+
+def interlevel_backward(
+    ends: Array,
+    weights: Array,
+    other_ends: Array,
+    other_weights: Array,
+    out_grad: Array,
+    grad: Array,
+    *,
+    threads: int = 1,
+) -> None:
+    """Overwrite grad [r, m] with the gradient by other_weights, given out_grad [r]."""
+
 def adam(
     param: Array,
     grad: Array,

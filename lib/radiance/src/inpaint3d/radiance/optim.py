@@ -71,10 +71,12 @@ class Adam(torch.optim.Optimizer):
 
     def _move(self, param: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
         m, v = self.moments(param)
-        settings = (self.steps, group["lr"], *group["betas"], group["eps"])
+        beta1, beta2 = group["betas"]
         # A level's mean square weighs each of its entries by one over their number: the levels decay apart.
         for part, decay in self._parts.get(id(param), [(slice(None), 0.0)]):
-            self._field.backend.adam_step(param[part], grad[part], m[part], v[part], *settings, decay)
+            self._field.backend.adam_step(
+                param[part], grad[part], m[part], v[part], self.steps, group["lr"], beta1, beta2, group["eps"], decay
+            )
 
 
 def make_optimizer(

@@ -205,8 +205,10 @@ class _Interlevel(torch.autograd.Function):
         histograms = tuple(tensor.contiguous() for tensor in histograms)
         ctx.save_for_backward(*histograms)
         out = histograms[0].new_empty(len(histograms[0]))
-        arrays = [tensor.numpy() for tensor in histograms]
-        kernels.interlevel_forward(*arrays, out.numpy(), threads=torch.get_num_threads())
+        ends, weights, other_ends, other_weights = (tensor.numpy() for tensor in histograms)
+        kernels.interlevel_forward(
+            ends, weights, other_ends, other_weights, out.numpy(), threads=torch.get_num_threads()
+        )
         return out
 
     @staticmethod
@@ -215,9 +217,17 @@ class _Interlevel(torch.autograd.Function):
         ctx: Any, *grad_outputs: Tensor
     ) -> tuple[None, None, None, Tensor]:
         saved = ctx.saved_tensors
-        arrays, grad = [tensor.numpy() for tensor in saved], torch.empty_like(saved[3])
-        out_grad = grad_outputs[0].contiguous().numpy()
-        kernels.interlevel_backward(*arrays, out_grad, grad.numpy(), threads=torch.get_num_threads())
+        ends, weights, other_ends, other_weights = (tensor.numpy() for tensor in saved)
+        grad, out_grad = torch.empty_like(saved[3]), grad_outputs[0].contiguous()
+        kernels.interlevel_backward(
+            ends,
+            weights,
+            other_ends,
+            other_weights,
+            out_grad.numpy(),
+            grad.numpy(),
+            threads=torch.get_num_threads(),
+        )
         return None, None, None, grad
 
 

@@ -48,7 +48,7 @@ def shrunk(views: Sequence[SceneView], depths: Mapping[str, NDArray[np.float32]]
     return reduced
 
 
-def witnessed(view: Coarse, points: NDArray[np.float64], own: Camera, pixels: NDArray[np.float64]) -> Mask:
+def witnessed(view: Coarse, points: NDArray[np.float64], own: Camera, pixels: NDArray[np.floating]) -> Mask:
     """Which points [n, 3], seen by `own` at `pixels` [n, 2], lie on a surface that the view shows outside its mask."""
     xy, z = view.camera.project(points)
     inside = view.camera.inside(xy, z)
