@@ -15,6 +15,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "presets.json"
 FIGURES = ("psnr", "ssim", "lpips_vgg")
 PROTOCOL = "hole-box-vs-truth"
+PRESETS = ("draft", "standard", "high", "paper")
 
 
 def measure(preset: str) -> dict:
@@ -55,7 +56,8 @@ def table(results: dict) -> str:
         "| preset | sum of stages, minutes | CPU minutes | peak memory | PSNR | SSIM | LPIPS (VGG) |",
         "|---|---|---|---|---|---|---|",
     ]
-    for preset, r in results.items():
+    for preset in (p for p in PRESETS if p in results):
+        r = results[preset]
         wall = sum(r["wall_s_by_stage"].values()) / 60
         s = next(iter(r["scores"].values()))
         lines.append(

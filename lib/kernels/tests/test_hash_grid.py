@@ -8,14 +8,6 @@ from inpaint3d import kernels
 HASHED = [(4, 0, 125, True), (9, 125, 256, False), (31, 381, 256, False)]
 
 
-@pytest.fixture(params=kernels.isas())
-def isa(request):
-    before = kernels.isa()
-    kernels.set_isa(request.param)
-    yield request.param
-    kernels.set_isa(before)
-
-
 def corners_of(point, level):
     """(entry, weight) of the eight corners around one point, in float64."""
     resolution, offset, size, dense = level

@@ -4,14 +4,6 @@ import pytest
 from inpaint3d import kernels
 
 
-@pytest.fixture(params=kernels.isas())
-def isa(request):
-    before = kernels.isa()
-    kernels.set_isa(request.param)
-    yield request.param
-    kernels.set_isa(before)
-
-
 def arrays(*shapes):
     rng = np.random.default_rng(0)
     return [rng.standard_normal(shape).astype(np.float32) for shape in shapes]

@@ -4,14 +4,6 @@ import pytest
 from inpaint3d import kernels
 
 
-@pytest.fixture(params=kernels.isas())
-def isa(request):
-    before = kernels.isa()
-    kernels.set_isa(request.param)
-    yield request.param
-    kernels.set_isa(before)
-
-
 @pytest.mark.parametrize("count", [0, 1, 17, 5000])
 def test_points_of_any_magnitude_come_into_the_cube(isa, count):
     rng = np.random.default_rng(count)

@@ -4,14 +4,6 @@ import pytest
 from inpaint3d import kernels
 
 
-@pytest.fixture(params=kernels.isas())
-def isa(request):
-    before = kernels.isa()
-    kernels.set_isa(request.param)
-    yield request.param
-    kernels.set_isa(before)
-
-
 def rays(count, samples):
     rng = np.random.default_rng(samples)
     density = (10 ** rng.uniform(-6, 3, (count, samples))).astype(np.float32)
