@@ -35,11 +35,11 @@ from inpaint3d.diffusion.training import (
 )
 
 SPEC = PriorSpec(
-    size=128,
-    width=48,
-    multipliers=(1, 2, 4),
-    blocks=(2, 2, 2),
-    attention=(False, False, True),
+    size=64,
+    width=64,
+    multipliers=(2, 4),
+    blocks=(2, 2),
+    attention=(False, True),
     packing=2,
     condition="mask-channel",
     known="clean",
@@ -57,8 +57,8 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     training, held_out = split(options.photos)
     photos = [cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB) for path in training]
-    exam = held_out_batch(held_out)
-    state = begin(SPEC, seed=0, bf16=bf16_pays())
+    exam = held_out_batch(held_out, options.spec.size)
+    state = begin(options.spec, seed=0, bf16=bf16_pays())
     checkpoint = options.out / "checkpoint.safetensors"
     clock = {"wall_s": 0.0, "cpu_s": 0.0}
     if checkpoint.exists():
@@ -71,7 +71,7 @@ def main() -> None:
     wall, cpu, saved = time.monotonic() - clock["wall_s"], time.process_time() - clock["cpu_s"], time.monotonic()
     while not stop and time.monotonic() - wall < options.hours * 3600:
         rng, generator = step_generators(0, state.step)
-        batch = crops(photos, options.batch, rng)
+        batch = crops(photos, options.batch, options.spec.size, rng)
         rate = options.rate * min(1.0, (state.step + 1) / 200)
         train_step(
             state,
@@ -100,7 +100,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--rate", type=float, default=1e-3, help="learning rate after warm-up")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--spec", type=variant, default=SPEC, help="JSON of the settings that differ from the default")
     return parser.parse_args()
+
+
+def variant(text: str) -> PriorSpec:
+    return PriorSpec.model_validate({**SPEC.model_dump(), **json.loads(text)})
 
 
 def split(folder: Path) -> tuple[list[Path], list[Path]]:
@@ -110,26 +115,26 @@ def split(folder: Path) -> tuple[list[Path], list[Path]]:
     return sorted(by_hash[HELD_OUT:]), sorted(by_hash[:HELD_OUT])
 
 
-def crops(photos: list[np.ndarray], count: int, rng: np.random.Generator) -> Batch:
+def crops(photos: list[np.ndarray], count: int, size: int, rng: np.random.Generator) -> Batch:
     """Random square crops, from the prior's size to the whole short side, mirrored half the time, with random holes."""
-    pictures = [crop(photos[rng.integers(len(photos))], rng) for _ in range(count)]
+    pictures = [crop(photos[rng.integers(len(photos))], size, rng) for _ in range(count)]
     image = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float() / 127.5 - 1
-    hole = torch.from_numpy(random_masks(count, SPEC.size, rng)).float()[:, None]
+    hole = torch.from_numpy(random_masks(count, size, rng)).float()[:, None]
     return Batch(image=image, hole=hole, teach=torch.ones_like(hole))
 
 
-def crop(photo: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def crop(photo: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
     short = min(photo.shape[:2])
-    side = int(rng.integers(min(SPEC.size, short), short + 1))
+    side = int(rng.integers(min(size, short), short + 1))
     y, x = (int(rng.integers(extent - side + 1)) for extent in photo.shape[:2])
-    picture = cv2.resize(photo[y : y + side, x : x + side], (SPEC.size, SPEC.size), interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(photo[y : y + side, x : x + side], (size, size), interpolation=cv2.INTER_AREA)
     return picture[:, ::-1] if rng.random() < 0.5 else picture
 
 
-def held_out_batch(paths: list[Path]) -> Batch:
+def held_out_batch(paths: list[Path], size: int) -> Batch:
     photos = [cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB) for path in paths]
     rng = np.random.default_rng(2**32)
-    batches = [crops([photo], 1, rng) for photo in photos]
+    batches = [crops([photo], 1, size, rng) for photo in photos]
     return Batch(*(torch.cat([getattr(b, name) for b in batches]) for name in ("image", "hole", "teach")))
 
 
@@ -137,6 +142,8 @@ def judge(out: Path, state: TrainingState, exam: Batch, clock: dict[str, float],
     """Figures and a grid on the held-out photos, and the weights as they now are."""
     generator = torch.Generator().manual_seed(1)
     figures, samples = judging.compare_fills(state.average, exam.image, exam.hole, generator)
+    with torch.no_grad():
+        figures["loss"] = float(denoising_loss(state.average, exam, torch.Generator().manual_seed(2), (0.02, 1.0)))
     append(out / "held_out.csv", {"step": state.step, **figures, **clock})
     shown = [slice(0, 8), slice(8, 16)]
     expected = [judging.mean_estimate(state.average, exam.image[s], exam.hole[s], generator) for s in shown]
@@ -146,7 +153,7 @@ def judge(out: Path, state: TrainingState, exam: Batch, clock: dict[str, float],
     cv2.imwrite(str(out / "grids" / f"{state.step:06d}.png"), cv2.cvtColor(grid, cv2.COLOR_RGB2BGR))
     save_prior(out / "weights.safetensors", state.average, half=True)
     card = {
-        "spec": SPEC.model_dump(mode="json"),
+        "spec": state.prior.spec.model_dump(mode="json"),
         "steps": state.step,
         "batch": batch,
         "hours": round(clock["wall_s"] / 3600, 2),

@@ -11,6 +11,7 @@ from inpaint3d.contracts.artifacts.prior import PriorSpec  # noqa: E402
 _TINY = {"size": 16, "width": 8, "multipliers": (1, 2), "blocks": (1, 1), "attention": (False, True)}
 _SHIPPED = {
     "residual_bands": (0.3,),
+    "residual_colours": (1.0, 1.0, 1.0),
     "packing": 2,
     "condition": "mask-channel",
     "known": "clean",

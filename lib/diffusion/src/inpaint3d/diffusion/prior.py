@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from inpaint3d.contracts.artifacts.prior import PriorSpec
-from inpaint3d.diffusion.bands import pixel_variance
+from inpaint3d.diffusion.bands import pixel_variance, to_opponent
 from inpaint3d.diffusion.fill import pyramid_fill
 from inpaint3d.diffusion.parameterisation import Parameterisation
 from inpaint3d.diffusion.schedules import cosine_log_snr
@@ -76,7 +76,7 @@ class InpaintingPrior(nn.Module):
 
     def parameterisation(self, t: Times) -> Parameterisation:
         """What the output means at these noise levels."""
-        return Parameterisation(self.spec.prediction, t, self.spec.residual_bands)
+        return Parameterisation(self.spec.prediction, t, self.spec.residual_bands, self.spec.residual_colours)
 
     def shown(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
         """z_t as this prior sees it: noised everywhere (D9), or without noise on the known pixels, alpha(t) x."""
@@ -92,7 +92,8 @@ class InpaintingPrior(nn.Module):
             # Not z: near t = 1 it is all noise, which the network would first have to learn to ignore. The linear guess
             # says as much about x, and fades into the fill by itself.
             guess = self.parameterisation(t).linear_guess(z, fill)
-            channels = [(guess - fill) / math.sqrt(pixel_variance(self.spec.residual_bands)), fill]
+            spread = math.sqrt(pixel_variance(self.spec.residual_bands)) * torch.tensor(self.spec.residual_colours)
+            channels = [to_opponent(guess - fill) / spread.to(z)[:, None, None], fill]
         if self.spec.condition == "mask-channel":
             channels.append(mask * 2 - 1)
         with torch.autocast(z.device.type, torch.bfloat16, enabled=self.bf16):

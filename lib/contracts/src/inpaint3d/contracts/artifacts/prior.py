@@ -33,9 +33,14 @@ class PriorSpec(Closed):
         description="what the network's output means; 'residual': EDM preconditioning about the fill",
     )
     residual_bands: tuple[Positive, ...] = Field(
-        default=(0.112, 0.259, 0.599, 1.33, 2.57, 5.30),
-        description="residual only: spread of the picture about the fill by band of an orthonormal Haar "
+        default=(0.2, 0.46, 1.05, 2.3, 4.6, 9.2),
+        description="residual only: spread of lightness about the fill by band of an orthonormal Haar "
         "transform, finest first, the last for all that is coarser; pixel values in [-1, 1]",
+    )
+    residual_colours: tuple[Positive, Positive, Positive] = Field(
+        default=(1.0, 0.25, 0.14),
+        description="residual only: spread of each opponent colour (lightness, red-blue, green-magenta) as a share of "
+        "lightness's",
     )
     schedule: Literal["cosine"] = "cosine"
     condition_dropout: Share = 0.1
