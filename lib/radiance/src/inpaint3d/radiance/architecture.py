@@ -61,9 +61,12 @@ def planned_spec(
 
 
 def parameter_shapes(spec: FieldSpec) -> dict[str, tuple[int, ...]]:
-    """Name and shape of each weight of `fields.RadianceField`, networks [out, in]."""
+    """Name and shape of each tensor of `fields.RadianceField`, networks [out, in]."""
     heads = 1 + 3 + (spec.bottleneck if spec.view_layers else 0)
-    shapes = _hash_network("proposal", spec.proposal_grid, [spec.density_width, 1])
+    if spec.sampler == "proposal":
+        shapes = _hash_network("proposal", spec.proposal_grid, [spec.density_width, 1])
+    else:
+        shapes = {"density_grid.density": (spec.density_cells**3,)}
     shapes |= _hash_network("base", spec.grid, [spec.density_width, heads])
     if spec.view_layers:
         widths = [spec.bottleneck + DIRECTION_COMPONENTS, *[spec.view_width] * spec.view_layers, 3]

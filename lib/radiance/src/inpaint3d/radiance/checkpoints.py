@@ -21,6 +21,7 @@ def save_checkpoint(
     state = {f"extra.{name}": tensor for name, tensor in (extra or {}).items()}
     state["generator"] = generator.get_state()
     state["steps"] = torch.tensor(optimizer.steps)
+    state |= {f"field.{name}": buffer for name, buffer in field.named_buffers()}
     for name, parameter in field.named_parameters():
         m, v = optimizer.moments(parameter)
         state |= {f"field.{name}": parameter.detach(), f"m.{name}": m, f"v.{name}": v}
@@ -39,6 +40,8 @@ def load_checkpoint(
     generator.set_state(state["generator"])
     optimizer.steps = int(state["steps"])
     with torch.no_grad():
+        for name, buffer in field.named_buffers():
+            buffer.copy_(state[f"field.{name}"])
         for name, parameter in field.named_parameters():
             m, v = optimizer.moments(parameter)
             parameter.copy_(state[f"field.{name}"])

@@ -11,6 +11,7 @@ from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.radiance import backends, directions, safe
 from inpaint3d.radiance.architecture import levels_of, parameter_shapes
+from inpaint3d.radiance.density_grid import DensityGrid
 from inpaint3d.radiance.memory import roomy
 from inpaint3d.radiance.spacing import Spacing
 
@@ -34,7 +35,8 @@ def bounded(logits: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
 
 
 class RadianceField(nn.Module):
-    """A proposal network, shared by its rounds, and a field with diffuse and view-dependent colour.
+    """A field with diffuse and view-dependent colour; and what says where rays ask it, a proposal network, shared by its
+    rounds, or a density grid.
 
     `backend` names the implementation of the heavy operations (default: the fastest that is installed). Raises
     ConfigurationError for an architecture that cannot be built.
@@ -48,8 +50,16 @@ class RadianceField(nn.Module):
         self.spacing = Spacing(spec.near, spec.far, spec.contraction)
         shapes = parameter_shapes(spec)
         generator = torch.Generator().manual_seed(seed)
-        weights = {name: nn.Parameter(_start(name, shape, generator)) for name, shape in shapes.items()}
-        self.proposal = HashNetwork(spec.proposal_grid, "proposal", weights)
+        weights = {
+            name: nn.Parameter(_start(name, shape, generator))
+            for name, shape in shapes.items()
+            if not name.startswith("density_grid.")
+        }
+        self.proposal = self.density_grid = None
+        if spec.sampler == "proposal":
+            self.proposal = HashNetwork(spec.proposal_grid, "proposal", weights)
+        else:
+            self.density_grid = DensityGrid(spec.density_cells, spec.density_bins)
         self.base = HashNetwork(spec.grid, "base", weights)
         self.specular = nn.ParameterList([w for name, w in weights.items() if name.startswith("specular.")])
         if spec.glo:
@@ -63,18 +73,24 @@ class RadianceField(nn.Module):
     def backend(self) -> backends.Backend:
         return backends.select(self.device, self._backend_name)
 
-    def _cube(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Points in the grids' cube. Without contraction, space beyond the cube continues its border."""
+    @property
+    def hash_networks(self) -> list["HashNetwork"]:
+        """The proposal network, if there is one, and the field's own."""
+        return [self.base] if self.proposal is None else [self.proposal, self.base]
+
+    def cube(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Scene points in the grids' cube, [0, 1]^3. Without contraction, space beyond the cube continues its border."""
         cube = self.backend.unit_cube(points, self.spec.contraction, self.spec.bound)
         return cube if self.spec.contraction else cube.clamp(0, 1)
 
     def proposal_density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Density that the proposal network guesses at scene points, per scene unit."""
-        return _density(self.proposal(self._cube(points), self.backend)[:, 0])
+        assert self.proposal is not None, "this field has no proposal network"
+        return _density(self.proposal(self.cube(points), self.backend)[:, 0])
 
     def density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Density at scene points, per scene unit."""
-        return _density(self.base(self._cube(points), self.backend)[:, 0])
+        return _density(self.base(self.cube(points), self.backend)[:, 0])
 
     def appearance(
         self, view: Int64[Tensor, " n"] | None, glo: Literal["view", "mean"]
@@ -98,7 +114,7 @@ class RadianceField(nn.Module):
         bounded(diffuse + specular_scale * specular), after the view's gain and offset (`appearance`: a row for each
         direction, or one for all).
         """
-        heads = self.base(self._cube(points), self.backend)
+        heads = self.base(self.cube(points), self.backend)
         # By ray, so that what is a ray's is computed once. Split, not sliced: one gradient, not a sum of three.
         runs = (len(towards), len(points) // max(len(towards), 1))
         raw, diffuse, bottleneck = heads.split([1, 3, heads.shape[1] - 4], 1)
@@ -149,12 +165,9 @@ def _exposed(logits: Tensor, gain: Tensor | None, offset: Tensor | None) -> Tens
 
 
 def _check(spec: FieldSpec) -> None:
-    if spec.sampler != "proposal":
-        raise ConfigurationError(f"sampler {spec.sampler!r} is not available; use 'proposal'")
-    if min((*spec.proposal_samples, spec.samples)) < 2:
-        raise ConfigurationError(
-            f"samples per round are {(*spec.proposal_samples, spec.samples)}; each must be at least 2"
-        )
+    rounds = (*(spec.proposal_samples if spec.sampler == "proposal" else (spec.density_bins,)), spec.samples)
+    if min(rounds) < 2:
+        raise ConfigurationError(f"samples per round are {rounds}; each must be at least 2")
     if spec.near >= spec.far:
         raise ConfigurationError(f"near {spec.near} is not below far {spec.far}")
     if spec.view_layers and not spec.bottleneck:

@@ -67,10 +67,13 @@ def depth_smoothness_loss(
 
 
 def hash_decay(field: RadianceField) -> Float[Tensor, ""]:
-    """Sum over the levels of both grids of the mean square of their entries (Zip-NeRF, arXiv:2304.06706; N9).
+    """Sum over the levels of all hash grids of the mean square of their entries (Zip-NeRF, arXiv:2304.06706; N9).
 
     `optim.Adam` adds this term's gradient by itself: as a term of the loss it would cost a pass over all entries more.
     """
-    grids = (field.proposal, field.base)
-    parts = [grid.table[level.offset : level.offset + level.size] for grid in grids for level in grid.levels]
+    parts = [
+        network.table[level.offset : level.offset + level.size]
+        for network in field.hash_networks
+        for level in network.levels
+    ]
     return torch.stack([part.square().mean() for part in parts]).sum()

@@ -41,7 +41,7 @@ class Adam(torch.optim.Optimizer):
                 (slice(level.offset, level.offset + level.size), 2 * hash_decay / (level.size * grid.table.shape[1]))
                 for level in grid.levels
             ]
-            for grid in (field.proposal, field.base)
+            for grid in field.hash_networks
         }
         self.steps = 0
         super().__init__(groups, {"lr": 1e-2, "lr_scale": 1.0, "betas": betas, "eps": eps})
@@ -91,7 +91,7 @@ def make_optimizer(
 
     hash_decay: weight of the tables' decay (N9).
     """
-    tables = [field.proposal.table, field.base.table]
+    tables = [network.table for network in field.hash_networks]
     chosen = {id(t) for t in tables}
     networks = [p for p in field.parameters() if id(p) not in chosen]
     return Adam(field, [{"params": tables}, {"params": networks, "lr_scale": network_scale}], betas, eps, hash_decay)

@@ -1,4 +1,4 @@
-"""From rays to colours, opacity and depth: proposal rounds, the field, and volume rendering."""
+"""From rays to colours, opacity and depth: where to ask, the field, and volume rendering."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -49,7 +49,8 @@ def render(
 ) -> Rendering:
     """Render rays of any shape (N2, N10, N11).
 
-    With a generator, samples are jittered (training); without, they are centred and the result repeats. glo: each ray's
+    With a generator, samples are jittered and a density grid learns from them (training); without, they are centred and
+    the result repeats. glo: each ray's
     own appearance code, or the mean of all. anneal: power on the proposals' weights before they are resampled (Mip-NeRF
     360: from 0, even sampling, to 1 over the first steps). near_gradient False turns the gradients down close to the
     camera (see `damped`).
@@ -59,7 +60,10 @@ def render(
     tdist = field.spacing.metric_from_normalised(sdist)
     r, s = len(sdist), sdist.shape[1] - 1
     appearance = field.appearance(flat.view, glo)
-    samples = field.query(_points(flat, tdist), flat.directions, appearance, specular_scale)
+    points = _points(flat, tdist)
+    samples = field.query(points, flat.directions, appearance, specular_scale)
+    if field.density_grid is not None and generator is not None:
+        field.density_grid.learn(field.cube(points), samples.density)
     density, rgb = samples.density.reshape(r, s), samples.rgb.reshape(r, s, 3)
     if not near_gradient:
         density, rgb = damped(density, rgb, tdist)
@@ -85,16 +89,21 @@ def _propose(
 ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
     """Where to ask the field: sdist [r, samples + 1], and each round's histogram."""
     r, device = len(rays.origins), rays.origins.device
-    sdist = torch.tensor([0.0, 1.0], device=device).expand(r, 2)
-    weights = torch.ones(r, 1, device=device)
     proposals: list[tuple[Tensor, Tensor]] = []
-    for level, count in enumerate((*field.spec.proposal_samples, field.spec.samples)):
+    if field.density_grid is not None:
+        sdist, weights = field.density_grid.histogram(field, rays.origins, rays.directions)
+        rounds = ()
+    else:
+        sdist = torch.tensor([0.0, 1.0], device=device).expand(r, 2)
+        weights = torch.ones(r, 1, device=device)
+        rounds = field.spec.proposal_samples
+    for level, count in enumerate((*rounds, field.spec.samples)):
         jitter = None
         if generator is not None:
             jitter = torch.rand(r, count, generator=generator, device=generator.device).to(device)
         mass = weights.detach() if anneal == 1 else weights.detach() ** anneal
         sdist = field.backend.resample(sdist.contiguous(), mass, count, jitter)
-        if level == len(field.spec.proposal_samples):
+        if level == len(rounds):
             break
         tdist = field.spacing.metric_from_normalised(sdist)
         density = field.proposal_density(_points(rays, tdist)).reshape(r, count)

@@ -1,6 +1,6 @@
 """How large a field is: the parameters that size it, and the field that they and an effect plan make."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,13 @@ class Architecture(Closed):
     log2_table: Log2 = Field(default=17, description="log2 of the entries of a level; 21 in the paper (N3)")
     channels: Count = Field(default=4, description="numbers per entry; 4 in the paper (N3)")
     samples: Samples = Field(default=24, description="field samples a ray; 32 in the paper (N2)")
+    sampler: Literal["proposal", "density-grid"] = Field(
+        default="proposal",
+        description="where rays ask the field: where a smaller network proposes (N2), or where it was "
+        "dense when last asked",
+    )
+    density_cells: Count = Field(default=96, description="cells per side of the density grid")
+    density_bins: Samples = Field(default=64, description="intervals of a ray that are looked up in it")
     proposal_samples: tuple[Samples, ...] = Field(
         default=(48,), description="samples a ray of each proposal round; 64, 64 in the paper (N2)"
     )
@@ -52,6 +59,9 @@ def field_spec(
     they say how large the cube is that holds the scene.
     """
     largest = FieldSpec(
+        sampler=size.sampler,
+        density_cells=size.density_cells,
+        density_bins=size.density_bins,
         grid=GridSpec(
             levels=size.levels,
             coarsest=size.coarsest,

@@ -22,9 +22,15 @@ class GridSpec(Closed):
 class FieldSpec(Closed):
     """The architecture of a field (conformance N1 to N6); the defaults are the paper's."""
 
-    sampler: Literal["proposal", "density-grid"] = "proposal"
-    proposal_grid: GridSpec = GridSpec(channels=1)
-    proposal_samples: tuple[Count, ...] = (64, 64)
+    sampler: Literal["proposal", "density-grid"] = Field(
+        default="proposal",
+        description="where rays ask the field: where a smaller network proposes (N2), or where its density, kept in "
+        "cells, was found",
+    )
+    proposal_grid: GridSpec = Field(default=GridSpec(channels=1), description="proposal only")
+    proposal_samples: tuple[Count, ...] = Field(default=(64, 64), description="proposal only: of each round")
+    density_cells: Count = Field(default=96, description="density-grid only: cells per side")
+    density_bins: Count = Field(default=64, description="density-grid only: intervals of a ray that are looked up")
     grid: GridSpec = GridSpec()
     samples: Count = 32
     density_width: Count = 64
