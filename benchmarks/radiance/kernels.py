@@ -78,9 +78,9 @@ def network_times(widths: tuple[int, ...], rows: int, repeats: int) -> dict[str,
     work = 2e-9 * rows * sum(into * wide for into, wide in pairs)
     return {
         "forward_gflop": work,
-        "forward_s": best_s(lambda: kernels.mlp_forward(x, weights, [], out), repeats),
+        "forward_s": best_s(lambda: kernels.mlp_forward(x, weights, None, out), repeats),
         "backward_gflop": 2 * work,
-        "backward_s": best_s(lambda: kernels.mlp_backward(x, weights, [], out_grad, x_grad, grads, []), repeats),
+        "backward_s": best_s(lambda: kernels.mlp_backward(x, weights, None, out_grad, x_grad, grads, None), repeats),
     }
 
 

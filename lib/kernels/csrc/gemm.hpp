@@ -26,8 +26,7 @@ struct Product {
   int64_t depth;
   float* c;  // [rows, c_row]
   int64_t c_row;
-  const float* bias = nullptr;  // starts every row of c; else c starts at zero
-  bool add = false;             // or at what c holds
+  bool add = false;             // sums start from what c holds, not from zero
   bool relu = false;            // then max(c, 0)
   const float* gate = nullptr;  // [rows, c_row]: then zero where the gate is not positive
 };
@@ -40,9 +39,7 @@ inline void tile(const Product& p, int64_t row, int64_t column) {
 #pragma GCC unroll 4
     for (int v = 0; v < vectors; ++v) {
       const int64_t at = column + v * kLanes;
-      sum[r][v] = p.add    ? load<Floats>(p.c + (row + r) * p.c_row + at)
-                  : p.bias ? load<Floats>(p.bias + at)
-                           : splat(0.0f);
+      sum[r][v] = p.add ? load<Floats>(p.c + (row + r) * p.c_row + at) : splat(0.0f);
     }
   }
   const float* a = p.a + row * p.a_row;

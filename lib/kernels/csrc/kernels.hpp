@@ -51,17 +51,20 @@ struct Histograms {
   int64_t rays, n, m;
 };
 
-// weights[l] is [width[l + 1], width[l]]; biases is null where there are none.
+// weights[l] is [width[l + 1], width[l]]. starts [rows / run, width[1]], or null: what the first layer's sums start from,
+// a row for each `run` rows, at most kMostRun.
+constexpr int64_t kMostRun = 192;
 struct Network {
   int layers;
   const int64_t* width;  // [layers + 1]
   const float* const* weights;
-  const float* const* biases;
+  const float* starts;
+  int64_t run;
 };
 
 struct NetworkGrad {
   float* const* weights;
-  float* const* biases;
+  float* starts;
 };
 
 struct Kernels {

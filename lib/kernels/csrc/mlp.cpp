@@ -7,7 +7,7 @@
 namespace inpaint3d::INPAINT3D_ISA {
 namespace {
 
-constexpr int64_t kRows = 192;       // rows of a block: a multiple of the tile's
+constexpr int64_t kRows = kMostRun;  // rows of a block, at most: a multiple of the tile's
 constexpr int64_t kLeastChunk = 16;  // blocks whose weight gradients are summed together, at least
 constexpr int64_t kMostChunks = 64;
 
@@ -54,11 +54,6 @@ struct Layout {
       at += across(i) ? width[i] * padded(width[i + 1]) : width[i + 1] * padded(width[i]);
     return at;
   }
-  int64_t bias_at(int layer) const {
-    int64_t at = 0;
-    for (int i = 0; i < layer; ++i) at += padded(width[i + 1]);
-    return at;
-  }
   int64_t widest() const {
     int64_t most = 0;
     for (int i = 0; i <= layers; ++i) most = padded(width[i]) > most ? padded(width[i]) : most;
@@ -66,11 +61,13 @@ struct Layout {
   }
 };
 
-// Weights and biases with rows padded to whole vectors.
+// Whole runs of rows, as many as fit a block.
+inline int64_t block_rows(const Network& net) { return net.starts ? kRows / net.run * net.run : kRows; }
+
+// Weights with rows padded to whole vectors.
 struct Packed {
-  Buffer across, along, bias;  // [in, padded out]; [out, padded in]; [padded out]
-  Packed(const Network& net, const Layout& at)
-      : across(at.across_at(net.layers)), along(at.along_at(net.layers)), bias(at.bias_at(net.layers)) {
+  Buffer across, along;  // [in, padded out]; [out, padded in]
+  Packed(const Network& net, const Layout& at) : across(at.across_at(net.layers)), along(at.along_at(net.layers)) {
     for (int layer = 0; layer < net.layers; ++layer) {
       const int64_t in = net.width[layer], out = net.width[layer + 1];
       float* t = across.data() + at.across_at(layer);
@@ -80,7 +77,6 @@ struct Packed {
           const float value = net.weights[layer][o * in + i];
           t[i * padded(out) + o] = w[o * padded(in) + i] = value;
         }
-        if (net.biases) bias.data()[at.bias_at(layer) + o] = net.biases[layer][o];
       }
     }
   }
@@ -110,8 +106,7 @@ inline Floats reduce(const Floats* rows) {
 
 // A layer with one output, which a product would compute kLanes of: dot products. acts [rows, padded in]; writes
 // column 0 of [rows, kLanes].
-inline void run_single_output(const float* acts, const float* weights, float bias, int64_t rows, int64_t in,
-                              float* out) {
+inline void run_single_output(const float* acts, const float* weights, int64_t rows, int64_t in, float* out) {
   for (int64_t row = 0; row < rows; row += kLanes) {
     Floats partial[kLanes];
     for (int r = 0; r < kLanes; ++r) {
@@ -119,19 +114,28 @@ inline void run_single_output(const float* acts, const float* weights, float bia
       partial[r] = load<Floats>(at) * load<Floats>(weights);
       for (int64_t i = kLanes; i < in; i += kLanes) partial[r] += load<Floats>(at + i) * load<Floats>(weights + i);
     }
-    const Floats sums = reduce<kLanes>(partial) + bias;
+    const Floats sums = reduce<kLanes>(partial);
     for (int r = 0; r < kLanes && row + r < rows; ++r) out[(row + r) * kLanes] = sums[r];
   }
 }
 
-// Fills the activations behind the first `layers` layers.
-void run_layers(const Network& net, const Layout& at, const Packed& packed, int layers, const float* x, int64_t rows,
-                float* acts) {
+// Writes each run's start to its rows, [rows, padded width].
+inline void begin_sums(const Network& net, int64_t first, int64_t rows, float* sums) {
+  const int64_t width = net.width[1], row_length = padded(width);
+  for (int64_t r = 0; r < rows; ++r, sums += row_length) {
+    const float* start = net.starts + (first + r) / net.run * width;
+    for (int64_t o = 0; o < width; ++o) sums[o] = start[o];
+    for (int64_t o = width; o < row_length; ++o) sums[o] = 0.0f;
+  }
+}
+
+// Fills the activations behind the first `layers` layers, of rows from `first` on; x is the first of them.
+void run_layers(const Network& net, const Layout& at, const Packed& packed, int layers, const float* x, int64_t first,
+                int64_t rows, float* acts) {
   for (int layer = 0; layer < layers; ++layer) {
     if (layer > 0 && layer + 1 == net.layers && net.width[layer + 1] == 1) {
       run_single_output(acts + at.rows_at(layer), packed.along.data() + at.along_at(layer),
-                        packed.bias.data()[at.bias_at(layer)], rows, padded(net.width[layer]),
-                        acts + at.rows_at(layer + 1));
+                        rows, padded(net.width[layer]), acts + at.rows_at(layer + 1));
       continue;
     }
     Product p{};
@@ -142,21 +146,17 @@ void run_layers(const Network& net, const Layout& at, const Packed& packed, int 
     p.b_row = p.c_row = padded(net.width[layer + 1]);
     p.depth = net.width[layer];
     p.c = acts + at.rows_at(layer + 1);
-    p.bias = packed.bias.data() + at.bias_at(layer);
+    p.add = layer == 0 && net.starts;
+    if (p.add) begin_sums(net, first, rows, p.c);
     p.relu = layer + 1 < net.layers;
     multiply(p, rows, p.c_row);
   }
 }
 
-// Sums of a chunk of rows.
-struct Sums {
-  float* weights;
-  float* biases;
-};
-
-// Adds one layer's gradients; the gradient of its output is `grad`, that of its input goes to `in_grad` if given.
+// Adds one layer's gradients to `sums`, those of a chunk of rows; the gradient of its output is `grad`, that of its input
+// goes to `in_grad` if given.
 void layer_adjoint(const Network& net, const Layout& at, const Packed& packed, int layer, int64_t rows,
-                   const float* acts, const float* grad, float* in_grad, Sums sums) {
+                   const float* acts, const float* grad, float* in_grad, float* sums) {
   const int64_t in = padded(net.width[layer]), out = padded(net.width[layer + 1]);
   const bool across = at.across(layer);
   Product w{};
@@ -166,14 +166,9 @@ void layer_adjoint(const Network& net, const Layout& at, const Packed& packed, i
   w.a_step = across ? in : out;
   w.b_row = w.c_row = across ? out : in;
   w.depth = rows;
-  w.c = sums.weights + at.sums_at(layer);
+  w.c = sums + at.sums_at(layer);
   w.add = true;
   multiply(w, net.width[across ? layer : layer + 1], w.c_row);
-  if (net.biases) {
-    float* bias = sums.biases + at.bias_at(layer);
-    for (int64_t r = 0; r < rows; ++r)
-      for (int64_t o = 0; o < out; ++o) bias[o] += grad[r * out + o];
-  }
   if (!in_grad) return;
   Product x{};
   x.a = grad;
@@ -193,16 +188,29 @@ struct Scratch {
       : acts(at.rows_at(at.layers + 1)), even(kRows * at.widest()), odd(kRows * at.widest()) {}
 };
 
+// Sums the first layer's gradients [rows, padded width] over each run.
+inline void runs_adjoint(const Network& net, const float* grad, int64_t first, int64_t rows, float* starts_grad) {
+  const int64_t width = net.width[1], row_length = padded(width);
+  for (int64_t r = 0; r < rows; ++r, grad += row_length) {
+    float* sum = starts_grad + (first + r) / net.run * width;
+    if ((first + r) % net.run == 0)
+      for (int64_t o = 0; o < width; ++o) sum[o] = grad[o];
+    else
+      for (int64_t o = 0; o < width; ++o) sum[o] += grad[o];
+  }
+}
+
 void block_adjoint(const Network& net, const Layout& at, const Packed& packed, const float* x, const float* out_grad,
-                   int64_t rows, float* x_grad, Sums sums, Scratch& scratch) {
+                   int64_t first, int64_t rows, float* x_grad, float* starts_grad, float* sums, Scratch& scratch) {
   float* acts = scratch.acts.data();
   copy_rows(x, net.width[0], acts, padded(net.width[0]), rows, net.width[0]);
-  run_layers(net, at, packed, net.layers - 1, x, rows, acts);
+  run_layers(net, at, packed, net.layers - 1, x, first, rows, acts);
   float* grad = scratch.even.data();
   float* in_grad = scratch.odd.data();
   const int64_t out = net.width[net.layers];
   copy_rows(out_grad, out, grad, padded(out), rows, out);
   for (int layer = net.layers - 1; layer >= 0; --layer) {
+    if (layer == 0 && net.starts) runs_adjoint(net, grad, first, rows, starts_grad);
     layer_adjoint(net, at, packed, layer, rows, acts, grad, layer > 0 || x_grad ? in_grad : nullptr, sums);
     float* swapped = grad;
     grad = in_grad;
@@ -211,22 +219,17 @@ void block_adjoint(const Network& net, const Layout& at, const Packed& packed, c
   if (x_grad) copy_rows(grad, padded(net.width[0]), x_grad, net.width[0], rows, net.width[0]);
 }
 
-void add_up(const Network& net, const Layout& at, const float* weights, const float* biases, int64_t chunks,
-            NetworkGrad grad) {
-  const int64_t weight_count = at.sums_at(net.layers), bias_count = at.bias_at(net.layers);
+void add_up(const Network& net, const Layout& at, const float* sums, int64_t chunks, NetworkGrad grad) {
+  const int64_t all = at.sums_at(net.layers);
   for (int layer = 0; layer < net.layers; ++layer) {
     const int64_t in = net.width[layer], out = net.width[layer + 1];
     for (int64_t o = 0; o < out; ++o) {
       for (int64_t i = 0; i < in; ++i) {
         float sum = 0.0f;
         const int64_t place = at.sums_at(layer) + (at.across(layer) ? i * padded(out) + o : o * padded(in) + i);
-        for (int64_t c = 0; c < chunks; ++c) sum += weights[c * weight_count + place];
+        for (int64_t c = 0; c < chunks; ++c) sum += sums[c * all + place];
         grad.weights[layer][o * in + i] = sum;
       }
-      if (!net.biases) continue;
-      float sum = 0.0f;
-      for (int64_t c = 0; c < chunks; ++c) sum += biases[c * bias_count + at.bias_at(layer) + o];
-      grad.biases[layer][o] = sum;
     }
   }
 }
@@ -236,13 +239,13 @@ void add_up(const Network& net, const Layout& at, const float* weights, const fl
 void mlp_forward(const float* x, int64_t count, Network net, float* out, int threads) {
   const Layout at{net.layers, net.width};
   const Packed packed(net, at);
-  const int64_t chunk = kRows * kLeastChunk, in = net.width[0], last = net.width[net.layers];
+  const int64_t block = block_rows(net), chunk = block * kLeastChunk, in = net.width[0], last = net.width[net.layers];
   parallel_for((count + chunk - 1) / chunk, threads, [&](int64_t task) {
     const Buffer acts(at.rows_at(net.layers + 1));
     const int64_t end = count < (task + 1) * chunk ? count : (task + 1) * chunk;
-    for (int64_t row = task * chunk; row < end; row += kRows) {
-      const int64_t rows = end - row < kRows ? end - row : kRows;
-      run_layers(net, at, packed, net.layers, x + row * in, rows, acts.data());
+    for (int64_t row = task * chunk; row < end; row += block) {
+      const int64_t rows = end - row < block ? end - row : block;
+      run_layers(net, at, packed, net.layers, x + row * in, row, rows, acts.data());
       copy_rows(acts.data() + at.rows_at(net.layers), padded(last), out + row * last, last, rows, last);
     }
   });
@@ -253,23 +256,23 @@ void mlp_backward(const float* x, int64_t count, Network net, const float* out_g
                   int threads) {
   const Layout at{net.layers, net.width};
   const Packed packed(net, at);
-  const int64_t blocks = (count + kRows - 1) / kRows;
+  const int64_t block = block_rows(net), blocks = (count + block - 1) / block;
   const int64_t even_share = (blocks + kMostChunks - 1) / kMostChunks;
   const int64_t share = even_share > kLeastChunk ? even_share : kLeastChunk;
   const int64_t chunks = (blocks + share - 1) / share, in = net.width[0], last = net.width[net.layers];
-  const Buffer weights(chunks * at.sums_at(net.layers)), biases(chunks * at.bias_at(net.layers));
+  const Buffer sums(chunks * at.sums_at(net.layers));
   parallel_for(chunks, threads, [&](int64_t task) {
     const FlushDenormals flush;
     Scratch scratch(at);
-    const Sums sums{weights.data() + task * at.sums_at(net.layers), biases.data() + task * at.bias_at(net.layers)};
-    const int64_t end = count < (task + 1) * share * kRows ? count : (task + 1) * share * kRows;
-    for (int64_t row = task * share * kRows; row < end; row += kRows) {
-      const int64_t rows = end - row < kRows ? end - row : kRows;
-      block_adjoint(net, at, packed, x + row * in, out_grad + row * last, rows, x_grad ? x_grad + row * in : nullptr,
-                    sums, scratch);
+    const int64_t end = count < (task + 1) * share * block ? count : (task + 1) * share * block;
+    for (int64_t row = task * share * block; row < end; row += block) {
+      const int64_t rows = end - row < block ? end - row : block;
+      block_adjoint(net, at, packed, x + row * in, out_grad + row * last, row, rows,
+                    x_grad ? x_grad + row * in : nullptr, grad.starts, sums.data() + task * at.sums_at(net.layers),
+                    scratch);
     }
   });
-  add_up(net, at, weights.data(), biases.data(), chunks, grad);
+  add_up(net, at, sums.data(), chunks, grad);
 }
 
 }  // namespace inpaint3d::INPAINT3D_ISA

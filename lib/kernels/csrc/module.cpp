@@ -60,6 +60,13 @@ void check_rows(size_t points, size_t rows) {
   require(points == rows, std::to_string(points) + " points but " + std::to_string(rows) + " rows of features");
 }
 
+template <class Array>
+void require_shape(const Array& array, std::vector<int64_t> shape, const char* name) {
+  bool same = array.ndim() == shape.size();
+  for (size_t i = 0; same && i < shape.size(); ++i) same = static_cast<int64_t>(array.shape(i)) == shape[i];
+  require(same, std::string(name) + " has the wrong shape");
+}
+
 void check_threads(int threads) {
   require(threads >= 1, "threads must be at least 1, not " + std::to_string(threads));
 }
@@ -89,32 +96,37 @@ void hash_backward(In<nb::shape<-1, 3>> points, In<nb::ndim<2>> out_grad, const 
 // A network's arrays, checked, as the kernels take them.
 struct CheckedNetwork {
   std::vector<int64_t> width;
-  std::vector<const float*> weights, biases;
+  std::vector<const float*> weights;
+  const float* starts = nullptr;
+  int64_t run = 1;
 
-  CheckedNetwork(const std::vector<In<nb::ndim<2>>>& w, const std::vector<In<nb::ndim<1>>>& b, size_t in) {
+  CheckedNetwork(const In<nb::ndim<2>>& x, const std::vector<In<nb::ndim<2>>>& w,
+                 const std::optional<In<nb::ndim<2>>>& first) {
     require(!w.empty(), "a network has at least one layer");
-    require(b.empty() || b.size() == w.size(), std::to_string(w.size()) + " weights but " + std::to_string(b.size()) + " biases");
-    width.push_back(static_cast<int64_t>(in));
+    width.push_back(static_cast<int64_t>(x.shape(1)));
     for (size_t layer = 0; layer < w.size(); ++layer) {
       const std::string name = "layer " + std::to_string(layer);
       require(static_cast<int64_t>(w[layer].shape(1)) == width.back(), name + " takes " + std::to_string(w[layer].shape(1)) + " numbers but is given " + std::to_string(width.back()));
       require(w[layer].shape(0) >= 1 && w[layer].shape(1) >= 1, name + " is empty");
       width.push_back(static_cast<int64_t>(w[layer].shape(0)));
       weights.push_back(w[layer].data());
-      if (b.empty()) continue;
-      require(static_cast<int64_t>(b[layer].shape(0)) == width.back(), name + "'s bias does not fit its weights");
-      biases.push_back(b[layer].data());
     }
+    if (!first) return;
+    const auto rows = static_cast<int64_t>(x.shape(0)), runs = static_cast<int64_t>(first->shape(0));
+    require(static_cast<int64_t>(first->shape(1)) == width[1], "starts must be as wide as the first layer");
+    require(runs == 0 ? rows == 0 : rows % runs == 0, std::to_string(runs) + " starts do not divide " + std::to_string(rows) + " rows");
+    if (rows == 0) return;
+    run = rows / runs;
+    require(run <= kMostRun, "runs of " + std::to_string(run) + " rows; at most " + std::to_string(kMostRun) + " share a start");
+    starts = first->data();
   }
 
-  Network network() const {
-    return {static_cast<int>(weights.size()), width.data(), weights.data(), biases.empty() ? nullptr : biases.data()};
-  }
+  Network network() const { return {static_cast<int>(weights.size()), width.data(), weights.data(), starts, run}; }
 };
 
 void mlp_forward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
-                 const std::vector<In<nb::ndim<1>>>& biases, Out<nb::ndim<2>> out, int threads) {
-  const CheckedNetwork net(weights, biases, x.shape(1));
+                 std::optional<In<nb::ndim<2>>> starts, Out<nb::ndim<2>> out, int threads) {
+  const CheckedNetwork net(x, weights, starts);
   require(out.shape(0) == x.shape(0) && static_cast<int64_t>(out.shape(1)) == net.width.back(), "out must be [rows of x, width of the last layer]");
   const auto run = active().mlp_forward;
   check_threads(threads);
@@ -123,27 +135,25 @@ void mlp_forward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
 }
 
 void mlp_backward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
-                  const std::vector<In<nb::ndim<1>>>& biases, In<nb::ndim<2>> out_grad,
+                  std::optional<In<nb::ndim<2>>> starts, In<nb::ndim<2>> out_grad,
                   std::optional<Out<nb::ndim<2>>> x_grad, const std::vector<Out<nb::ndim<2>>>& weight_grads,
-                  const std::vector<Out<nb::ndim<1>>>& bias_grads, int threads) {
-  const CheckedNetwork net(weights, biases, x.shape(1));
+                  std::optional<Out<nb::ndim<2>>> starts_grad, int threads) {
+  const CheckedNetwork net(x, weights, starts);
   require(out_grad.shape(0) == x.shape(0) && static_cast<int64_t>(out_grad.shape(1)) == net.width.back(), "out_grad must be [rows of x, width of the last layer]");
   require(!x_grad || (x_grad->shape(0) == x.shape(0) && x_grad->shape(1) == x.shape(1)), "x_grad must have the shape of x");
-  require(weight_grads.size() == weights.size() && bias_grads.size() == biases.size(), "one gradient for each weight and bias");
-  std::vector<float*> weight_data, bias_data;
+  require(weight_grads.size() == weights.size(), "one gradient for each weight");
+  std::vector<float*> weight_data;
   for (size_t layer = 0; layer < weights.size(); ++layer) {
     require(weight_grads[layer].shape(0) == weights[layer].shape(0) && weight_grads[layer].shape(1) == weights[layer].shape(1), "a weight's gradient must have its shape");
     weight_data.push_back(weight_grads[layer].data());
   }
-  for (size_t layer = 0; layer < biases.size(); ++layer) {
-    require(bias_grads[layer].shape(0) == biases[layer].shape(0), "a bias's gradient must have its shape");
-    bias_data.push_back(bias_grads[layer].data());
-  }
+  require(starts.has_value() == starts_grad.has_value(), "starts_grad is for starts");
+  if (starts) require_shape(*starts_grad, {static_cast<int64_t>(starts->shape(0)), static_cast<int64_t>(starts->shape(1))}, "starts_grad");
   const auto run = active().mlp_backward;
   check_threads(threads);
   nb::gil_scoped_release release;
   run(x.data(), static_cast<int64_t>(x.shape(0)), net.network(), out_grad.data(), x_grad ? x_grad->data() : nullptr,
-      {weight_data.data(), bias_data.data()}, threads);
+      {weight_data.data(), starts_grad ? starts_grad->data() : nullptr}, threads);
 }
 
 Rays checked_rays(const In<nb::ndim<2>>& density, const In<nb::shape<-1, -1, 3>>& rgb, const In<nb::ndim<2>>& tdist) {
@@ -151,13 +161,6 @@ Rays checked_rays(const In<nb::ndim<2>>& density, const In<nb::shape<-1, -1, 3>>
   require(rgb.shape(0) == rays && rgb.shape(1) == samples, "rgb must be [rays, samples, 3]");
   require(tdist.shape(0) == rays && tdist.shape(1) == samples + 1, "tdist must be [rays, samples + 1]");
   return {density.data(), rgb.data(), tdist.data(), static_cast<int64_t>(rays), static_cast<int64_t>(samples)};
-}
-
-template <class Array>
-void require_shape(const Array& array, std::vector<int64_t> shape, const char* name) {
-  bool same = array.ndim() == shape.size();
-  for (size_t i = 0; same && i < shape.size(); ++i) same = static_cast<int64_t>(array.shape(i)) == shape[i];
-  require(same, std::string(name) + " has the wrong shape");
 }
 
 void composite_forward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, In<nb::ndim<2>> tdist,
@@ -268,6 +271,7 @@ void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<
 
 NB_MODULE(_native, module) {
   using namespace inpaint3d;
+  module.attr("MOST_RUN") = kMostRun;
   module.def("isas", &available, "Paths that this processor runs, best first: of avx512, avx2, portable.");
   module.def("isa", [] { return std::string(active().name); }, "The path in use; the best one at first.");
   module.def(
@@ -278,10 +282,10 @@ NB_MODULE(_native, module) {
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("hash_backward", &hash_backward, "points"_a.noconvert(), "out_grad"_a.noconvert(), "levels"_a,
              "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("mlp_forward", &mlp_forward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out"_a.noconvert(),
+  module.def("mlp_forward", &mlp_forward, "x"_a.noconvert(), "weights"_a.noconvert(), "starts"_a.noconvert().none(), "out"_a.noconvert(),
              nb::kw_only(), "threads"_a = 1);
-  module.def("mlp_backward", &mlp_backward, "x"_a.noconvert(), "weights"_a.noconvert(), "biases"_a.noconvert(), "out_grad"_a.noconvert(),
-             "x_grad"_a.noconvert().none(), "weight_grads"_a.noconvert(), "bias_grads"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("mlp_backward", &mlp_backward, "x"_a.noconvert(), "weights"_a.noconvert(), "starts"_a.noconvert().none(), "out_grad"_a.noconvert(),
+             "x_grad"_a.noconvert().none(), "weight_grads"_a.noconvert(), "starts_grad"_a.noconvert().none(), nb::kw_only(), "threads"_a = 1);
   module.def("composite_forward", &composite_forward, "density"_a.noconvert(), "rgb"_a.noconvert(),
              "tdist"_a.noconvert(), "weights"_a.noconvert(), "rgb_out"_a.noconvert(), "opacity"_a.noconvert(),
              "depth_sum"_a.noconvert(), nb::kw_only(), "threads"_a = 1);

@@ -101,9 +101,8 @@ def test_hash_encode_in_float64_is_the_reference():
     assert torch.equal(native.hash_encode(points, table, levels), reference.hash_encode(points, table, levels))
 
 
-def network(*widths, bias):
-    weights = [normal(o, i, seed=o) / i**0.5 for i, o in itertools.pairwise(widths)]
-    return weights, [normal(o, seed=o) for o in widths[1:]] if bias else None
+def network(*widths):
+    return [normal(o, i, seed=o) / i**0.5 for i, o in itertools.pairwise(widths)]
 
 
 def gradients(function, inputs, out_grads):
@@ -114,39 +113,45 @@ def gradients(function, inputs, out_grads):
     return outs, torch.autograd.grad(outs, inputs, [grad.to(outs[0].dtype) for grad in out_grads])
 
 
-@pytest.mark.parametrize("bias", [False, True])
 @pytest.mark.parametrize(
-    ("count", "widths"),
+    ("count", "widths", "run"),
     [
-        (1, (3, 1)),
-        (5, (1, 7, 2)),
-        (193, (40, 64, 16)),
-        (400, (31, 64, 64, 3)),
-        (97, (17, 33, 130, 49)),
-        (3100, (8, 5, 1)),
+        (1, (3, 1), 0),
+        (5, (1, 7, 2), 0),
+        (6, (4, 1), 3),
+        (193, (40, 64, 16), 0),
+        (200, (15, 20, 3), 1),
+        (400, (31, 64, 64, 3), 0),
+        (576, (15, 64, 64, 3), 24),
+        (97, (17, 33, 130, 49), 97),
+        (386, (9, 16, 2), 193),
+        (3100, (8, 5, 1), 0),
+        (6400, (8, 5, 1), 50),
     ],
 )
-def test_mlp_equals_the_reference(isa, threads, count, widths, bias):
-    weights, biases = network(*widths, bias=bias)
+def test_mlp_equals_the_reference(isa, threads, count, widths, run):
+    """run: rows that share a start; 0: there are none."""
+    weights = network(*widths)
+    starts = [normal(count // run, widths[1], seed=9)] if run else []
     depth = len(weights)
     x, out_grad = normal(count, widths[0], seed=7), normal(count, widths[-1], seed=8)
     with torch.no_grad():  # a unit within rounding of zero may open in one version alone: its rows teach nothing
         hidden, near_zero = x.double(), torch.zeros(count, dtype=torch.bool)
         for layer in range(depth - 1):
-            hidden = torch.nn.functional.linear(
-                hidden, weights[layer].double(), None if biases is None else biases[layer].double()
-            )
+            hidden = hidden @ weights[layer].double().T
+            if layer == 0 and run:
+                hidden += starts[0].double().repeat_interleave(run, 0)
             near_zero |= (hidden.abs() < 1e-5).any(1)
             hidden = hidden.relu()
     assert near_zero.float().mean() < 0.1
     out_grad[near_zero] = 0
 
-    def run(backend):
-        return lambda x, *p: backend.mlp(x, p[:depth], p[depth:] if bias else None)
+    def with_backend(backend):
+        return lambda x, *p: backend.mlp(x, p[:depth], *p[depth:])
 
-    inputs = [x, *weights, *(biases or [])]
-    outs, grads = gradients(run(native), inputs, [out_grad])
-    truths, exact = gradients(run(reference), [tensor.double() for tensor in inputs], [out_grad])
+    inputs = [x, *weights, *starts]
+    outs, grads = gradients(with_backend(native), inputs, [out_grad])
+    truths, exact = gradients(with_backend(reference), [tensor.double() for tensor in inputs], [out_grad])
     torch.testing.assert_close(outs[0], truths[0].float(), atol=1e-5, rtol=1e-5)
     for grad, truth in zip(grads, exact, strict=True):  # sums over up to 3,100 rows
         scale = max(1.0, truth.abs().max().item())
@@ -154,22 +159,18 @@ def test_mlp_equals_the_reference(isa, threads, count, widths, bias):
 
 
 def test_mlp_of_no_rows(isa):
-    weights, biases = network(6, 8, 2, bias=True)
-    outs, grads = gradients(
-        lambda x, *p: native.mlp(x, p[:2], p[2:]), [torch.empty(0, 6), *weights, *biases], [torch.empty(0, 2)]
-    )
+    inputs = [torch.empty(0, 6), *network(6, 8, 2), torch.empty(0, 8)]
+    outs, grads = gradients(lambda x, *p: native.mlp(x, p[:2], p[2]), inputs, [torch.empty(0, 2)])
     assert outs[0].shape == (0, 2)
     assert all(not grad.any() for grad in grads)
 
 
 def test_mlp_bits_do_not_depend_on_threads():
-    weights, biases = network(10, 64, 4, bias=True)
+    inputs = [normal(20000, 10), *network(10, 64, 4), normal(400, 64, seed=5)]
     results = []
     for count in (1, 2, 3):
         torch.set_num_threads(count)
-        outs, grads = gradients(
-            lambda x, *p: native.mlp(x, p[:2], p[2:]), [normal(20000, 10), *weights, *biases], [normal(20000, 4)]
-        )
+        outs, grads = gradients(lambda x, *p: native.mlp(x, p[:2], p[2]), inputs, [normal(20000, 4)])
         results.append((*outs, *grads))
     torch.set_num_threads(1)
     for other in results[1:]:
@@ -177,10 +178,9 @@ def test_mlp_bits_do_not_depend_on_threads():
 
 
 def test_mlp_shows_nan(isa):
-    weights, biases = network(3, 8, 2, bias=True)
     x = normal(4, 3)
     x[1, 2] = torch.nan
-    out = native.mlp(x, weights, biases)
+    out = native.mlp(x, network(3, 8, 2), normal(2, 8))
     assert out[1].isnan().all()
     assert out[[0, 2, 3]].isfinite().all()
 

@@ -105,15 +105,19 @@ def test_colliding_vertices_add_their_gradients() -> None:
     torch.testing.assert_close(table.grad.sum(), torch.tensor(200.0, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("biased", [False, True])
-def test_mlp_is_the_layers_written_out(biased: bool) -> None:
+def test_mlp_is_the_layers_written_out() -> None:
     weights = [seeded(8, 5) - 0.5, seeded(8, 8, seed=1) - 0.5, seeded(3, 8, seed=2) - 0.5]
-    biases = [seeded(8, seed=3) - 0.5, seeded(8, seed=4) - 0.5, seeded(3, seed=5) - 0.5] if biased else None
     x = seeded(10, 5, seed=6) - 0.5
-    b = biases or [torch.zeros(8), torch.zeros(8), torch.zeros(3)]
-    hidden = (x @ weights[0].T + b[0]).clamp(min=0)
-    hidden = (hidden @ weights[1].T + b[1]).clamp(min=0)
-    torch.testing.assert_close(reference.mlp(x, weights, biases), hidden @ weights[2].T + b[2])
+    hidden = ((x @ weights[0].T).clamp(min=0) @ weights[1].T).clamp(min=0)
+    torch.testing.assert_close(reference.mlp(x, weights), hidden @ weights[2].T)
+
+
+def test_mlp_starts_are_inputs_that_a_run_of_rows_shares() -> None:
+    own, shared = seeded(10, 5, seed=6) - 0.5, seeded(2, 3, seed=4) - 0.5
+    first, last = seeded(8, 8) - 0.5, seeded(3, 8, seed=1) - 0.5
+    together = torch.cat([own, shared.repeat_interleave(5, 0)], 1)
+    apart = reference.mlp(own, [first[:, :5], last], shared @ first[:, 5:].T)
+    torch.testing.assert_close(apart, reference.mlp(together, [first, last]))
 
 
 def test_composite_adds_what_the_weights_say() -> None:

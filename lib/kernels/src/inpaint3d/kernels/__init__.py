@@ -6,6 +6,7 @@ TypeError. Importing this package raises ImportError where it was installed with
 """
 
 from inpaint3d.kernels._native import (
+    MOST_RUN,
     adam,
     composite_backward,
     composite_forward,
@@ -23,6 +24,7 @@ from inpaint3d.kernels._native import (
 )
 
 __all__ = [
+    "MOST_RUN",
     "adam",
     "composite_backward",
     "composite_forward",

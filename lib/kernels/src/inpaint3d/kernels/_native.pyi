@@ -6,6 +6,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float32]
 Level = tuple[int, int, int, bool]  # resolution, first entry, entries, dense
 
+MOST_RUN: int
+"""Rows that may share a start, at most."""
+
 def isas() -> list[str]:
     """Paths that this processor runs, best first: of avx512, avx2, portable."""
 
@@ -26,24 +29,24 @@ def hash_backward(
     Entries of no level keep what they hold.
     """
 
-def mlp_forward(x: Array, weights: Sequence[Array], biases: Sequence[Array], out: Array, *, threads: int = 1) -> None:
+def mlp_forward(x: Array, weights: Sequence[Array], starts: Array | None, out: Array, *, threads: int = 1) -> None:
     """Write the network's output for x [n, i] to out [n, o]: weights [out, in], ReLU between layers, the last linear.
 
-    biases [out] may be an empty list.
+    starts [m, out of the first layer]: what its sums start from, a row for each run of n / m <= 192 rows.
     """
 
 def mlp_backward(
     x: Array,
     weights: Sequence[Array],
-    biases: Sequence[Array],
+    starts: Array | None,
     out_grad: Array,
     x_grad: Array | None,
     weight_grads: Sequence[Array],
-    bias_grads: Sequence[Array],
+    starts_grad: Array | None,
     *,
     threads: int = 1,
 ) -> None:
-    """Overwrite x_grad, weight_grads and bias_grads with mlp_forward's gradients, given out_grad [n, o]."""
+    """Overwrite x_grad, weight_grads and starts_grad with mlp_forward's gradients, given out_grad [n, o]."""
 
 def composite_forward(
     density: Array,

@@ -35,8 +35,8 @@ def bounded(logits: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
 
 
 class RadianceField(nn.Module):
-    """A field with diffuse and view-dependent colour; and what says where rays ask it, a proposal network, shared by its
-    rounds, or a density grid.
+    """A field with diffuse and view-dependent colour, and what says where rays ask it: a proposal network, shared by
+    its rounds, or a density grid.
 
     `backend` names the implementation of the heavy operations (default: the fastest that is installed). Raises
     ConfigurationError for an architecture that cannot be built.
@@ -79,13 +79,14 @@ class RadianceField(nn.Module):
         return [self.base] if self.proposal is None else [self.proposal, self.base]
 
     def cube(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Scene points in the grids' cube, [0, 1]^3. Without contraction, space beyond the cube continues its border."""
+        """Scene points in the grids' cube, [0, 1]^3. Without contraction, space beyond it continues its border."""
         cube = self.backend.unit_cube(points, self.spec.contraction, self.spec.bound)
         return cube if self.spec.contraction else cube.clamp(0, 1)
 
     def proposal_density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Density that the proposal network guesses at scene points, per scene unit."""
-        assert self.proposal is not None, "this field has no proposal network"
+        if self.proposal is None:
+            raise ValueError(f"a field whose sampler is {self.spec.sampler!r} has no proposal network")
         return _density(self.proposal(self.cube(points), self.backend)[:, 0])
 
     def density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -124,9 +125,10 @@ class RadianceField(nn.Module):
         shown = bounded(_exposed(diffuse, gain, offset)).flatten(0, 1)
         if not self.spec.view_layers:
             return Samples(density, shown, shown)
-        harmonics = directions.spherical_harmonics(towards)[:, None].expand(*runs, -1)
-        inputs = torch.cat([bottleneck.reshape(*runs, bottleneck.shape[1]), harmonics], -1)
-        specular = self.backend.mlp(inputs.flatten(0, 1), list(self.specular)).reshape(*runs, 3)
+        first, *others = self.specular
+        along, across = first.split([bottleneck.shape[1], first.shape[1] - bottleneck.shape[1]], 1)
+        starts = directions.spherical_harmonics(towards) @ across.T
+        specular = self.backend.mlp(bottleneck, [along, *others], starts).reshape(*runs, 3)
         total = bounded(_exposed(torch.add(diffuse, specular, alpha=specular_scale), gain, offset))
         return Samples(density, total.flatten(0, 1), shown)
 

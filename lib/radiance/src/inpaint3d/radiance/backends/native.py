@@ -7,7 +7,7 @@ the kernels are not installed.
 """
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -75,13 +75,18 @@ def _gradient_of(table: Tensor, levels: Sequence[Level]) -> Tensor:
 
 class _Mlp(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, layers: int, x: Tensor, *parameters: Tensor) -> Tensor:
-        x, parameters = x.contiguous(), tuple(tensor.contiguous() for tensor in parameters)
-        ctx.save_for_backward(x, *parameters)
-        ctx.layers = layers
-        arrays = [tensor.numpy() for tensor in parameters]
-        out = x.new_empty(x.shape[0], parameters[layers - 1].shape[0])
-        kernels.mlp_forward(x.numpy(), arrays[:layers], arrays[layers:], out.numpy(), threads=torch.get_num_threads())
+    def forward(ctx: Any, x: Tensor, starts: Tensor | None, *weights: Tensor) -> Tensor:
+        x, weights = x.contiguous(), tuple(tensor.contiguous() for tensor in weights)
+        starts = None if starts is None else starts.contiguous()
+        ctx.save_for_backward(x, starts, *weights)
+        out = x.new_empty(x.shape[0], weights[-1].shape[0])
+        kernels.mlp_forward(
+            x.numpy(),
+            [weight.numpy() for weight in weights],
+            None if starts is None else starts.numpy(),
+            out.numpy(),
+            threads=torch.get_num_threads(),
+        )
         return out
 
     @staticmethod
@@ -89,35 +94,34 @@ class _Mlp(torch.autograd.Function):
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
         ctx: Any, *grad_outputs: Tensor
     ) -> tuple[Tensor | None, ...]:
-        x, *parameters = ctx.saved_tensors
-        arrays = [tensor.numpy() for tensor in parameters]
-        grads = [torch.empty_like(tensor) for tensor in parameters]
-        targets = [tensor.numpy() for tensor in grads]
-        x_grad = torch.empty_like(x) if ctx.needs_input_grad[1] else None
+        x, starts, *weights = ctx.saved_tensors
+        grads = [torch.empty_like(weight) for weight in weights]
+        x_grad = torch.empty_like(x) if ctx.needs_input_grad[0] else None
+        starts_grad = None if starts is None else torch.empty_like(starts)
         kernels.mlp_backward(
             x.numpy(),
-            arrays[: ctx.layers],
-            arrays[ctx.layers :],
+            [weight.numpy() for weight in weights],
+            None if starts is None else starts.numpy(),
             grad_outputs[0].contiguous().numpy(),
             None if x_grad is None else x_grad.numpy(),
-            targets[: ctx.layers],
-            targets[ctx.layers :],
+            [grad.numpy() for grad in grads],
+            None if starts_grad is None else starts_grad.numpy(),
             threads=torch.get_num_threads(),
         )
-        return None, x_grad, *grads
+        return x_grad, starts_grad, *grads
 
 
 def mlp(
     x: Float[Tensor, "n i"],
     weights: Sequence[Float[Tensor, "_ _"]],
-    biases: Sequence[Float[Tensor, " _"]] | None = None,
-    activation: Literal["relu"] = "relu",
+    starts: Float[Tensor, "m {weights[0].shape[0]}"] | None = None,
 ) -> Float[Tensor, "n {weights[-1].shape[0]}"]:
-    """`reference.mlp`; hidden activations are computed again in the backward pass, not kept."""
-    parameters = (*weights, *(biases or ()))
-    if activation != "relu" or not weights or not supported(x, *parameters):
-        return reference.mlp(x, weights, biases, activation)
-    return _Mlp.apply(len(weights), x, *parameters)
+    """`reference.mlp`; hidden activations are computed again in the backward pass, not kept. Long runs go there."""
+    tensors = (*weights, *(() if starts is None else (starts,)))
+    long = starts is not None and len(x) > kernels.MOST_RUN * len(starts)
+    if not weights or long or not supported(x, *tensors):
+        return reference.mlp(x, weights, starts)
+    return _Mlp.apply(x, starts, *weights)
 
 
 class _Composite(torch.autograd.Function):

@@ -1,7 +1,6 @@
 """The readable truth of every heavy operation; `native` must match it forward and backward."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -60,14 +59,17 @@ def hash_encode(
 def mlp(
     x: Float[Tensor, "n i"],
     weights: Sequence[Float[Tensor, "_ _"]],
-    biases: Sequence[Float[Tensor, " _"]] | None = None,
-    activation: Literal["relu"] = "relu",
+    starts: Float[Tensor, "m {weights[0].shape[0]}"] | None = None,
 ) -> Float[Tensor, "n {weights[-1].shape[0]}"]:
-    """A fully connected network: weights [out, in]; ReLU between layers, the last one linear."""
-    if activation != "relu":
-        raise ValueError(f"activation {activation!r} is unknown; use 'relu'")
+    """A fully connected network without biases: weights [out, in]; ReLU between layers, the last one linear.
+
+    starts: what the first layer's sums start from, a row for each run of n / m rows: inputs that a run shares, times
+    their part of the first weights.
+    """
     for layer, weight in enumerate(weights):
-        x = F.linear(F.relu(x) if layer else x, weight, None if biases is None else biases[layer])
+        x = F.linear(F.relu(x) if layer else x, weight)
+        if layer == 0 and starts is not None:
+            x = x + starts.repeat_interleave(len(x) // max(len(starts), 1), 0)
     return x
 
 
