@@ -19,11 +19,10 @@ from benchmarks.radiance import scene as scenes
 
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.optim import make_optimizer
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.fit import one_step
+from inpaint3d.stages.nerf_pretraining.fit import one_step, optimizer_of
 from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -45,9 +44,7 @@ class Fit:
         )
         self.config, self.pixels, self.cpu_s, self.losses = config, pixels, 0.0, {}
         self.field = RadianceField(spec, seed)
-        self.optimizer = make_optimizer(
-            self.field, network_scale=config.network_rate_share, hash_decay=config.hash_decay_weight
-        )
+        self.optimizer = optimizer_of(self.field, config)
         self.generator = torch.Generator().manual_seed(seed)
 
     def step(self) -> float:

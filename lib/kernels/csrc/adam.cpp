@@ -4,23 +4,67 @@
 #include "simd.hpp"
 
 namespace inpaint3d::INPAINT3D_ISA {
+namespace {
 
-void adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads) {
-  constexpr int64_t kBlock = 1 << 16;
-  parallel_for((count + kBlock - 1) / kBlock, threads, [&](int64_t block) {
-    const FlushDenormals flush;
-    const int64_t end = count < (block + 1) * kBlock ? count : (block + 1) * kBlock;
-    const Adam a = adam;
+constexpr int64_t kBlock = 1 << 16;  // numbers of one task
+constexpr int64_t kGroup = 16;       // numbers that a sparse step looks at together: often none of them moves
+
+struct State {
+  float* param;
+  const float* grad;
+  float *m, *v;
+};
+
+inline bool all_rest(const float* grad, int64_t begin, int64_t end) {
+  bool rest = true;
+  for (int64_t i = begin; i < end; ++i) rest &= grad[i] == 0.0f;
+  return rest;
+}
+
+// Moves numbers [begin, end); returns how many were left alone since their gradient is not finite.
+template <bool sparse>
+inline int32_t move(const State& state, const Adam& a, int64_t begin, int64_t end) {
+  int32_t lost = 0;
 #pragma GCC ivdep
-    for (int64_t i = block * kBlock; i < end; ++i) {
-      const float slope = grad[i] + a.decay * param[i];
-      const float first = m[i] + (1.0f - a.beta1) * (slope - m[i]);
-      const float second = a.beta2 * v[i] + (1.0f - a.beta2) * slope * slope;
-      m[i] = first;
-      v[i] = second;
-      param[i] -= a.step_size * first / (__builtin_sqrtf(second) * a.inverse_spread + a.eps);
+  for (int64_t i = begin; i < end; ++i) {
+    const float grad = state.grad[i], param = state.param[i], m = state.m[i], v = state.v[i];
+    const bool finite = grad - grad == 0.0f;
+    const bool moves = finite && (!sparse || grad != 0.0f);
+    const float slope = grad + a.decay * param;
+    const float first = m + (1.0f - a.beta1) * (slope - m);
+    const float second = a.beta2 * v + (1.0f - a.beta2) * slope * slope;
+    const float to = param - a.step_size * first / (__builtin_sqrtf(second) * a.inverse_spread + a.eps);
+    state.m[i] = moves ? first : m;
+    state.v[i] = moves ? second : v;
+    state.param[i] = moves ? to : param;
+    lost += !finite;
+  }
+  return lost;
+}
+
+}  // namespace
+
+int64_t adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads) {
+  const State state{param, grad, m, v};
+  const int64_t blocks = (count + kBlock - 1) / kBlock;
+  int64_t* lost = new int64_t[blocks]();
+  parallel_for(blocks, threads, [&](int64_t block) {
+    const FlushDenormals flush;
+    const Adam a = adam;
+    const int64_t end = count < (block + 1) * kBlock ? count : (block + 1) * kBlock;
+    if (!a.sparse) {
+      lost[block] = move<false>(state, a, block * kBlock, end);
+      return;
+    }
+    for (int64_t i = block * kBlock; i < end; i += kGroup) {
+      const int64_t last = end - i < kGroup ? end : i + kGroup;
+      if (!all_rest(grad, i, last)) lost[block] += move<true>(state, a, i, last);
     }
   });
+  int64_t sum = 0;
+  for (int64_t block = 0; block < blocks; ++block) sum += lost[block];
+  delete[] lost;
+  return sum;
 }
 
 }  // namespace inpaint3d::INPAINT3D_ISA

@@ -27,6 +27,7 @@ struct Adam {
   float inverse_spread;   // 1 / sqrt(1 - beta2^step)
   float beta1, beta2, eps;
   float decay;            // each number's gradient grows by decay times the number
+  bool sparse;            // numbers whose gradient is 0 are left alone, moments and decay too
 };
 
 // Intervals along rays: density and rgb at [count, samples], interval ends tdist [count, samples + 1].
@@ -88,7 +89,8 @@ struct Kernels {
   // out, out_grad [rays]; grad [rays, m] is that of other_weights.
   void (*interlevel_forward)(Histograms h, float* out, int threads);
   void (*interlevel_backward)(Histograms h, const float* out_grad, float* grad, int threads);
-  void (*adam)(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
+  // Returns how many numbers it left alone, moments too, since their gradient is not finite.
+  int64_t (*adam)(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
 };
 
 namespace portable { extern const Kernels kKernels; }

@@ -250,8 +250,8 @@ void interlevel_backward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::n
   run(histograms, out_grad.data(), grad.data(), threads);
 }
 
-void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, int64_t step,
-          double lr, double beta1, double beta2, double eps, double decay, int threads) {
+int64_t adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, int64_t step,
+             double lr, double beta1, double beta2, double eps, double decay, bool sparse, int threads) {
   const size_t count = param.shape(0);
   require(grad.shape(0) == count && m.shape(0) == count && v.shape(0) == count, "param, grad, m and v must have the same size");
   require(step >= 1, "steps count from 1, not " + std::to_string(step));
@@ -259,11 +259,11 @@ void adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<
   const Adam settings{static_cast<float>(lr / (1.0 - std::pow(beta1, exponent))),
                       static_cast<float>(1.0 / std::sqrt(1.0 - std::pow(beta2, exponent))),
                       static_cast<float>(beta1), static_cast<float>(beta2), static_cast<float>(eps),
-                      static_cast<float>(decay)};
+                      static_cast<float>(decay), sparse};
   const auto run = active().adam;
   check_threads(threads);
   nb::gil_scoped_release release;
-  run(param.data(), grad.data(), m.data(), v.data(), static_cast<int64_t>(count), settings, threads);
+  return run(param.data(), grad.data(), m.data(), v.data(), static_cast<int64_t>(count), settings, threads);
 }
 
 }  // namespace
@@ -303,5 +303,5 @@ NB_MODULE(_native, module) {
              "other_ends"_a.noconvert(), "other_weights"_a.noconvert(), "out_grad"_a.noconvert(),
              "grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(),
-             nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "decay"_a = 0.0, "threads"_a = 1);
+             nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "decay"_a = 0.0, "sparse"_a = false, "threads"_a = 1);
 }

@@ -23,6 +23,6 @@ void resample(const float* sdist, const float* weights, int64_t rays, int64_t n,
 void unit_cube(const float* points, int64_t count, float* out, int threads);
 void interlevel_forward(Histograms h, float* out, int threads);
 void interlevel_backward(Histograms h, const float* out_grad, float* grad, int threads);
-void adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
+int64_t adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
 
 }  // namespace inpaint3d::INPAINT3D_ISA

@@ -31,6 +31,27 @@ def test_twenty_steps_follow_the_algorithm(isa, count, decay):
     np.testing.assert_allclose(v, state[2], rtol=1e-5)
 
 
+@pytest.mark.parametrize("isa", kernels.isas())
+@pytest.mark.parametrize("sparse", [False, True])
+def test_numbers_without_a_usable_gradient_are_left_alone(isa, sparse):
+    rng = np.random.default_rng(0)
+    param, m, v, grad = rng.random((4, 200_003), np.float32)
+    grad[rng.random(len(grad)) < 0.9] = 0
+    grad[[0, 17, 70_000, 200_002]] = np.inf, np.nan, -np.inf, np.nan
+    before = [part.copy() for part in (param, m, v)]
+    used = kernels.isa()
+    kernels.set_isa(isa)
+    settings = {"lr": 1e-2, "beta1": 0.9, "beta2": 0.99, "eps": 1e-15, "decay": 1e-3}
+    lost = kernels.adam(param, grad, m, v, step=3, sparse=sparse, threads=2, **settings)
+    kernels.set_isa(used)
+    assert lost == 4
+    moves = np.isfinite(grad) & ((grad != 0) | (not sparse))
+    exact = adam(before[0], np.where(moves, grad, 0).astype(np.float64), *before[1:], 3, **settings)
+    for part, start, truth in zip((param, m, v), before, exact, strict=True):
+        np.testing.assert_array_equal(part[~moves], start[~moves])
+        np.testing.assert_allclose(part[moves], truth[moves], atol=1e-6)
+
+
 def test_sizes_must_agree_and_steps_count_from_one():
     three, four = np.zeros(3, np.float32), np.zeros(4, np.float32)
     settings = {"lr": 1e-2, "beta1": 0.9, "beta2": 0.99, "eps": 1e-15}

@@ -293,14 +293,19 @@ def test_cube_and_interlevel_bits_do_not_depend_on_threads():
 
 @pytest.mark.parametrize("shape", [(0,), (7,), (33, 5), (70000,)])
 @pytest.mark.parametrize("decay", [0.0, 1e-3])
-def test_adam_equals_the_reference(isa, threads, shape, decay):
+@pytest.mark.parametrize("sparse", [False, True])
+def test_adam_equals_the_reference(isa, threads, shape, decay, sparse):
     params = [normal(*shape), normal(*shape).double()]
     moments = [[torch.zeros_like(p), torch.zeros_like(p)] for p in params]
     for step in range(1, 11):
         # Magnitudes from 1e-9 to 1: Adam's step must not depend on them.
         grad = normal(*shape, seed=step) * 10 ** (-9 * uniform(*shape, seed=step))
+        grad[uniform(*shape, seed=step + 100) < 0.4] = 0
+        if grad.numel():
+            grad.view(-1)[-1] = torch.nan
         for backend, param, (m, v) in zip((native, reference), params, moments, strict=True):
-            backend.adam_step(param, grad.to(param.dtype), m, v, step, 1e-2, 0.9, 0.99, 1e-15, decay)
+            arguments = (step, 1e-2, 0.9, 0.99, 1e-15, decay, sparse)
+            assert backend.adam_step(param, grad.to(param.dtype), m, v, *arguments) == min(1, grad.numel())
     torch.testing.assert_close(params[0], params[1].float(), atol=2e-6, rtol=0)
     torch.testing.assert_close(moments[0][1], moments[1][1].float(), rtol=1e-5, atol=0)
 

@@ -134,6 +134,25 @@ def test_non_finite_values_are_counted_located_and_stop_the_run() -> None:
         assert torch.equal(parameter, before[name]), name
 
 
+def test_a_sparse_step_leaves_alone_what_no_ray_met() -> None:
+    """Entries without a gradient keep their moments and do not decay; all others do as in a dense step."""
+    fields = [RadianceField(SPEC, 0) for _ in range(2)]
+    dense, sparse = make_optimizer(fields[0], hash_decay=0.1), make_optimizer(fields[1], hash_decay=0.1, sparse=True)
+    before = fields[0].base.table.detach().clone()
+    for field, optimizer in zip(fields, (dense, sparse), strict=True):
+        step(field, optimizer, pixels(), torch.Generator().manual_seed(0))
+    gradient = fields[0].base.table.grad
+    assert gradient is not None
+    met = gradient != 0
+    assert 0.05 < met.float().mean() < 0.95
+    assert torch.equal(fields[0].base.table[met], fields[1].base.table[met])
+    assert torch.equal(fields[1].base.table[~met], before[~met])
+    assert not torch.equal(fields[0].base.table[~met], before[~met])
+    for name, parameter in fields[0].named_parameters():
+        if not name.endswith("table"):
+            assert torch.equal(parameter, dict(fields[1].named_parameters())[name]), name
+
+
 def test_a_restored_run_goes_on_exactly(tmp_path: Path) -> None:
     source = pixels()
 

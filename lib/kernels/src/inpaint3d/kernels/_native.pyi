@@ -120,9 +120,11 @@ def adam(
     beta2: float,
     eps: float,
     decay: float = 0.0,
+    sparse: bool = False,
     threads: int = 1,
-) -> None:
+) -> int:
     """One step of Adam in place on flat param, m and v [n]; `step` counts from 1. Denormal moments become zero.
 
-    decay: the gradient is grad + decay * param.
+    decay: the gradient is grad + decay * param. sparse: numbers with grad = 0 are left alone, moments too. So are those
+    whose grad is not finite: how many is returned.
     """

@@ -24,7 +24,9 @@ def learning_rate(
 class Adam(torch.optim.Optimizer):
     """Adam with the field's backend. Each group has `lr` and its `lr_scale`; the state is m, v, and one step count.
 
-    What it descends is the loss whose gradient it finds, and `hash_decay` times `losses.hash_decay` (N9).
+    What it descends is the loss whose gradient it finds, and `hash_decay` times `losses.hash_decay` (N9). sparse: the
+    tables' numbers without a gradient rest, moments and decay too. Numbers whose gradient is not finite are not moved:
+    `lost` counts those of the last step.
     """
 
     def __init__(
@@ -34,9 +36,10 @@ class Adam(torch.optim.Optimizer):
         betas: tuple[float, float],
         eps: float,
         hash_decay: float,
+        sparse: bool,
     ) -> None:
-        self._field = field
-        self._parts = {
+        self._field, self._sparse = field, sparse
+        self._levels = {
             id(grid.table): [
                 (slice(level.offset, level.offset + level.size), 2 * hash_decay / (level.size * grid.table.shape[1]))
                 for level in grid.levels
@@ -44,6 +47,7 @@ class Adam(torch.optim.Optimizer):
             for grid in field.hash_networks
         }
         self.steps = 0
+        self.lost: dict[Tensor, int] = {}
         super().__init__(groups, {"lr": 1e-2, "lr_scale": 1.0, "betas": betas, "eps": eps})
 
     def set_rate(self, rate: float) -> None:
@@ -64,6 +68,7 @@ class Adam(torch.optim.Optimizer):
         if closure is not None:
             raise ValueError("this Adam takes no closure; compute the loss before the step")
         self.steps += 1
+        self.lost.clear()
         for group in self.param_groups:
             for param in group["params"]:
                 if param.grad is not None:
@@ -72,11 +77,17 @@ class Adam(torch.optim.Optimizer):
     def _move(self, param: Tensor, grad: Tensor, group: dict[str, Any]) -> None:
         m, v = self.moments(param)
         beta1, beta2 = group["betas"]
+        levels = self._levels.get(id(param))
+        sparse = self._sparse and levels is not None
+        lost = 0
         # A level's mean square weighs each of its entries by one over their number: the levels decay apart.
-        for part, decay in self._parts.get(id(param), [(slice(None), 0.0)]):
-            self._field.backend.adam_step(
-                param[part], grad[part], m[part], v[part], self.steps, group["lr"], beta1, beta2, group["eps"], decay
+        for part, decay in levels or [(slice(None), 0.0)]:
+            of = (param[part], grad[part], m[part], v[part])
+            lost += self._field.backend.adam_step(
+                *of, self.steps, group["lr"], beta1, beta2, group["eps"], decay, sparse
             )
+        if lost:
+            self.lost[param] = lost
 
 
 def make_optimizer(
@@ -84,14 +95,17 @@ def make_optimizer(
     *,
     network_scale: float = 1.0,
     hash_decay: float = 0.0,
+    sparse: bool = False,
     betas: tuple[float, float] = BETAS,
     eps: float = EPS,
 ) -> Adam:
     """Adam whose networks (all but the tables) learn at `network_scale` of the rate; `set_rate` before each step.
 
-    hash_decay: weight of the tables' decay (N9).
+    hash_decay: weight of the tables' decay (N9). sparse: see `Adam`.
     """
     tables = [network.table for network in field.hash_networks]
     chosen = {id(t) for t in tables}
     networks = [p for p in field.parameters() if id(p) not in chosen]
-    return Adam(field, [{"params": tables}, {"params": networks, "lr_scale": network_scale}], betas, eps, hash_decay)
+    return Adam(
+        field, [{"params": tables}, {"params": networks, "lr_scale": network_scale}], betas, eps, hash_decay, sparse
+    )

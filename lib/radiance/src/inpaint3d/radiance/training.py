@@ -89,8 +89,9 @@ def descend(
     """One step down the sum of the terms at learning rate `rate`; returns each term's value.
 
     Non-finite terms and gradients are counted into `non_finite` by place and stop the run with an error that names
-    them: parameters are never touched by them.
+    them: no parameter is touched by them.
     """
+    step = optimizer.steps
     optimizer.zero_grad(set_to_none=True)
     values = {name: float(term.detach()) for name, term in terms.items()}
     for name, value in values.items():
@@ -98,26 +99,19 @@ def descend(
             non_finite[f"loss.{name}"] = non_finite.get(f"loss.{name}", 0) + 1
     if not non_finite:
         torch.stack(list(terms.values())).sum().backward()
-        for name, parameter in field.named_parameters():
-            if parameter.grad is not None:
-                _count_non_finite(f"gradient.{name}", parameter.grad, non_finite)
+        optimizer.set_rate(rate)
+        optimizer.step()
+        names = {id(parameter): name for name, parameter in field.named_parameters()}
+        for parameter, count in optimizer.lost.items():
+            place = f"gradient.{names[id(parameter)]}"
+            non_finite[place] = non_finite.get(place, 0) + count
     if non_finite:
         places = ", ".join(f"{place} ({count})" for place, count in sorted(non_finite.items()))
         raise Inpaint3dError(
-            f"non-finite values at step {optimizer.steps}: {places}; loss terms were {values}. "
+            f"non-finite values at step {step}: {places}; loss terms were {values}. "
             "The weights of the last checkpoint are sound; lower the learning rate or report this run"
         )
-    optimizer.set_rate(rate)
-    optimizer.step()
     return values
-
-
-def _count_non_finite(place: str, tensor: Tensor, non_finite: dict[str, int]) -> None:
-    # A sum is finite only where all are (or overflows, which the count then clears): one pass, no temporary.
-    if not math.isfinite(float(tensor.sum())):
-        count = int((~torch.isfinite(tensor)).sum())
-        if count:
-            non_finite[place] = non_finite.get(place, 0) + count
 
 
 def rays_at(step: int, *, first: int, last: int, ramp: int) -> int:

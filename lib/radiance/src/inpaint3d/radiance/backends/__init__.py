@@ -48,7 +48,8 @@ class Backend(Protocol):
         beta2: float,
         eps: float,
         decay: float = 0.0,
-    ) -> None: ...
+        sparse: bool = False,
+    ) -> int: ...
 
 
 def select(device: torch.device | str, backend: Name | None = None) -> Backend:

@@ -259,16 +259,16 @@ def adam_step(
     beta2: float,
     eps: float,
     decay: float = 0.0,
-) -> None:
+    sparse: bool = False,
+) -> int:
     """`reference.adam_step` in one pass; denormal moments become zero.
 
     param, m and v that are not contiguous go to the reference.
     """
     in_place = (param, m, v)
     if not supported(grad, *in_place) or not all(tensor.is_contiguous() for tensor in in_place):
-        reference.adam_step(param, grad, m, v, step, lr, beta1, beta2, eps, decay)
-        return
-    kernels.adam(
+        return reference.adam_step(param, grad, m, v, step, lr, beta1, beta2, eps, decay, sparse)
+    return kernels.adam(
         param.detach().view(-1).numpy(),
         grad.detach().contiguous().view(-1).numpy(),
         m.view(-1).numpy(),
@@ -279,5 +279,6 @@ def adam_step(
         beta2=beta2,
         eps=eps,
         decay=decay,
+        sparse=sparse,
         threads=torch.get_num_threads(),
     )

@@ -156,14 +156,20 @@ def adam_step(
     beta2: float,
     eps: float,
     decay: float = 0.0,
-) -> None:
+    sparse: bool = False,
+) -> int:
     """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v; `step` counts from 1.
 
-    decay: what is descended has decay / 2 * |param|^2 added to it.
+    decay: what is descended has decay / 2 * |param|^2 added to it. Numbers whose gradient is not finite are left alone,
+    moments too: how many is returned. sparse: so are those whose gradient is 0, without being counted.
     """
-    if decay:
-        grad = grad + decay * param
-    m.lerp_(grad, 1 - beta1)
-    v.mul_(beta2).addcmul_(grad, grad, value=1 - beta2)
-    divisor = (v / (1 - beta2**step)).sqrt_().add_(eps)
-    param.addcdiv_(m, divisor, value=-lr / (1 - beta1**step))
+    finite = torch.isfinite(grad)
+    moves = finite & (grad != 0) if sparse else finite
+    slope = grad + decay * param
+    first = torch.lerp(m, slope, 1 - beta1)
+    second = beta2 * v + (1 - beta2) * slope.square()
+    step_size = lr / (1 - beta1**step)
+    to = param - step_size * first / ((second / (1 - beta2**step)).sqrt_() + eps)
+    for part, moved in ((param, to), (m, first), (v, second)):
+        part.copy_(torch.where(moves, moved, part))
+    return int(finite.numel() - finite.sum())

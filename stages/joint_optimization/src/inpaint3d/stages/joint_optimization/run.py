@@ -152,7 +152,12 @@ def optimise(
     """
     bank = RayBank(scene.train, ctx.device)
     held_out = HeldOut(scene.test, config.score_pixels, ctx.device)
-    optimizer = make_optimizer(field, network_scale=config.network_rate_share, hash_decay=config.hash_decay_weight)
+    optimizer = make_optimizer(
+        field,
+        network_scale=config.network_rate_share,
+        hash_decay=config.hash_decay_weight,
+        sparse=config.sparse_adam,
+    )
     generator = torch.Generator().manual_seed(ctx.seed)
     warmup = config.warmup_steps if fresh else 0
     schedule = config.schedule_steps or config.steps

@@ -33,7 +33,7 @@ CurveRow = list[float]
 
 def fit(field: RadianceField, pixels: Pixels, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
     """Fit the field to the pixels and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
-    optimizer = make_optimizer(field, network_scale=config.network_rate_share, hash_decay=config.hash_decay_weight)
+    optimizer = optimizer_of(field, config)
     generator = torch.Generator().manual_seed(ctx.seed)
     tally = Tally()
     path = ctx.work / CHECKPOINT
@@ -57,6 +57,16 @@ def fit(field: RadianceField, pixels: Pixels, held_out: HeldOut, config: Config,
             saved = time.monotonic()
     _save(path, field, optimizer, generator, tally)
     return tally.curve
+
+
+def optimizer_of(field: RadianceField, config: Config) -> Adam:
+    """The optimiser that the parameters ask for."""
+    return make_optimizer(
+        field,
+        network_scale=config.network_rate_share,
+        hash_decay=config.hash_decay_weight,
+        sparse=config.sparse_adam,
+    )
 
 
 def one_step(
