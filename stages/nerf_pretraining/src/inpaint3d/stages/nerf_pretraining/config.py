@@ -33,7 +33,7 @@ class Config(Closed):
     network_rate_share: Positive = Field(default=1.0, description="networks' rate over the tables'")
     sparse_adam: bool = Field(
         default=False,
-        description="True: table entries that no ray met rest, not moved by their moments and not decayed; paper: False",
+        description="True: table entries that no ray met rest, their moments and decay too; paper: False",
     )
     near_gradient: bool = Field(default=False, description="False: gradients near cameras are turned down; paper: True")
     proposal_anneal_steps: Steps = Field(
