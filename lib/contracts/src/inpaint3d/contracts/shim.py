@@ -200,6 +200,8 @@ def _guarded(module: str, store_root: Path, invocation_file: Path, events: TextI
         # Native libraries read these when they are first imported, which is after this line.
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ[name] = str(invocation.threads)
+        # Threads that wait by spinning take cores from whoever else needs them, themselves included.
+        os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         record = execute(module, Store(store_root), invocation, events)
     except Inpaint3dError as error:
         failure, trace = error, None
