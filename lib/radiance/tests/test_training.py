@@ -96,7 +96,7 @@ def test_pixels_that_are_not_known_are_never_drawn() -> None:
     rays, _ = source.draw(50, torch.Generator().manual_seed(0))
     assert rays.view is not None
     assert (rays.view == 0).all()
-    np.testing.assert_allclose(source.xy, [[3.5, 2.5]])
+    np.testing.assert_array_equal(source.column_row, [[3, 2]])
 
 
 def test_steps_lower_the_loss_and_move_every_weight() -> None:

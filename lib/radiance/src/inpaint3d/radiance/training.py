@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int16, Int32
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -21,11 +21,14 @@ from inpaint3d.scene.cameras import Camera
 
 @dataclass(frozen=True)
 class Pixels:
-    """Known pixels of the training views, in one row each; `view` indexes `cameras` and the appearance codes."""
+    """Known pixels of the training views, in one row each; `view` indexes `cameras` and the appearance codes.
+
+    20 bytes a pixel: a capture has millions.
+    """
 
     cameras: CameraStack
-    view: Int64[Tensor, " p"]
-    xy: Float[Tensor, "p 2"]
+    view: Int32[Tensor, " p"]
+    column_row: Int16[Tensor, "p 2"]
     rgb: Float[Tensor, "p 3"]
 
     @classmethod
@@ -37,18 +40,16 @@ class Pixels:
         device: torch.device | str = "cpu",
     ) -> "Pixels":
         """All pixels of `images` [h, w, 3] where `known` [h, w] is True (None: everywhere)."""
-        view, xy, rgb = [], [], []
-        for index, (image, keep) in enumerate(zip(images, known, strict=True)):
-            y, x = np.nonzero(np.ones(image.shape[:2], bool) if keep is None else keep)
-            view.append(np.full(len(x), index))
-            xy.append(np.stack([x + 0.5, y + 0.5], -1))
-            rgb.append(image[y, x])
-        return cls(
-            CameraStack.of(cameras, device),
-            torch.from_numpy(np.concatenate(view)).to(device, torch.int64),
-            torch.from_numpy(np.concatenate(xy)).to(device, torch.float32),
-            torch.from_numpy(np.concatenate(rgb)).to(device, torch.float32),
-        )
+        kept = [np.ones(image.shape[:2], bool) if k is None else k for image, k in zip(images, known, strict=True)]
+        ends = np.cumsum([0, *(int(k.sum()) for k in kept)])
+        view = np.empty(ends[-1], np.int32)
+        column_row, rgb = np.empty((ends[-1], 2), np.int16), np.empty((ends[-1], 3), np.float32)
+        for index, (image, keep) in enumerate(zip(images, kept, strict=True)):
+            part = slice(ends[index], ends[index + 1])
+            view[part], rgb[part] = index, image[keep]
+            column_row[part] = np.argwhere(keep)[:, ::-1]
+        tensors = [torch.from_numpy(array).to(device) for array in (view, column_row, rgb)]
+        return cls(CameraStack.of(cameras, device), *tensors)
 
     def __len__(self) -> int:
         return len(self.view)
@@ -56,7 +57,8 @@ class Pixels:
     def draw(self, count: int, generator: torch.Generator) -> tuple[Rays, Float[Tensor, "{count} 3"]]:
         """Rays and colours of `count` pixels, drawn with replacement."""
         chosen = torch.randint(len(self), (count,), generator=generator, device=generator.device).to(self.view.device)
-        return self.cameras.rays(self.view[chosen], self.xy[chosen]), self.rgb[chosen]
+        centre = self.column_row[chosen].float() + 0.5
+        return self.cameras.rays(self.view[chosen].long(), centre), self.rgb[chosen]
 
 
 @dataclass(frozen=True)
