@@ -18,6 +18,7 @@ import torch
 from benchmarks.radiance import scene as scenes
 
 from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
@@ -34,7 +35,9 @@ SPACING = 1.05
 class Fit:
     """A field under way, as nerf-pretraining makes and fits it."""
 
-    def __init__(self, scene: scenes.Scene, pixels: Pixels, config: Config, seed: int) -> None:
+    def __init__(
+        self, scene: scenes.Scene, pixels: Pixels, config: Config, seed: int, backend: backends.Name | None = None
+    ) -> None:
         spec = field_spec(
             config.architecture,
             scene.plan,
@@ -43,7 +46,7 @@ class Fit:
             points=scene.points,
         )
         self.config, self.pixels, self.cpu_s, self.losses = config, pixels, 0.0, {}
-        self.field = RadianceField(spec, seed)
+        self.field = RadianceField(spec, seed, backend)
         self.optimizer = optimizer_of(self.field, config)
         self.generator = torch.Generator().manual_seed(seed)
 
@@ -87,7 +90,7 @@ def views(scene: scenes.Scene, options: argparse.Namespace) -> dict[str, Any]:
 def rate(scene: scenes.Scene, options: argparse.Namespace) -> dict[str, Any]:
     """Rays per CPU second at a batch size, after a step that is not counted."""
     config = full_batches(configured(options.preset), options.rays)
-    fit = Fit(scene, pixels_of(scene), config, options.seed)
+    fit = Fit(scene, pixels_of(scene), config, options.seed, options.backend)
     for _ in range(options.warmup):
         fit.step()
     spent = [fit.step() for _ in range(options.steps)]
@@ -165,6 +168,7 @@ def main() -> None:
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rays", type=int, help="rate: rays a step; default: the preset's")
+    parser.add_argument("--backend", choices=("native", "reference"), help="rate: default: the fastest")
     parser.add_argument("--steps", type=int, default=20, help="rate, growth: steps that count")
     parser.add_argument("--warmup", type=int, default=3, help="rate, growth: steps before them")
     parser.add_argument("--marks", type=float, nargs="*", default=[], help="curve: CPU seconds of whole pictures")

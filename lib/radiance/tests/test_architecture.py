@@ -26,8 +26,17 @@ def planned(*on: str) -> FieldSpec:
     return planned_spec(SMALL, plan(*on), views=5, centre_depth=0.8, near_share=0.1, bound=2.0)
 
 
-@pytest.mark.parametrize("update", [{}, {"glo": 0}, {"view_layers": 0}, {"view_layers": 1, "bottleneck": 3}])
-def test_shapes_are_those_of_the_field(update: dict[str, int]) -> None:
+@pytest.mark.parametrize(
+    "update",
+    [
+        {},
+        {"glo": 0},
+        {"view_layers": 0},
+        {"view_layers": 1, "bottleneck": 3},
+        {"sampler": "density-grid", "density_cells": 6},
+    ],
+)
+def test_shapes_are_those_of_the_field(update: dict[str, int | str]) -> None:
     spec = SMALL.model_copy(update=update)
     state = RadianceField(spec, seed=0).state_dict()
     assert {name: tuple(tensor.shape) for name, tensor in state.items()} == parameter_shapes(spec)

@@ -106,7 +106,6 @@ def test_the_seed_decides_the_weights() -> None:
 @pytest.mark.parametrize(
     ("update", "message"),
     [
-        ({"sampler": "density-grid"}, "use 'proposal'"),
         ({"samples": 1}, "at least 2"),
         ({"proposal_samples": (8, 1)}, "at least 2"),
         ({"near": 5.0, "far": 2.0}, "near 5.0 is not below far 2.0"),

@@ -153,11 +153,12 @@ def test_a_sparse_step_leaves_alone_what_no_ray_met() -> None:
             assert torch.equal(parameter, dict(fields[1].named_parameters())[name]), name
 
 
-def test_a_restored_run_goes_on_exactly(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sampler", ["proposal", "density-grid"])
+def test_a_restored_run_goes_on_exactly(tmp_path: Path, sampler: str) -> None:
     source = pixels()
 
     def start() -> tuple[RadianceField, Adam, torch.Generator]:
-        field = RadianceField(SPEC, 0)
+        field = RadianceField(SPEC.model_copy(update={"sampler": sampler, "density_cells": 8}), 0)
         return field, make_optimizer(field), torch.Generator().manual_seed(0)
 
     field, optimizer, generator = start()

@@ -27,7 +27,7 @@ FLOOR = 0.01
 class DensityGrid(nn.Module):
     """The densities that a field was seen to have, in `cells` per side of the cube that its hash grids live in."""
 
-    density: Float[Tensor, " cells"]
+    density: Tensor
 
     def __init__(self, cells: int, bins: int) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class DensityGrid(nn.Module):
     @torch.no_grad()
     def histogram(
         self, field: "RadianceField", origins: Float[Tensor, "r 3"], directions: Float[Tensor, "r 3"]
-    ) -> tuple[Float[Tensor, "r bins+1"], Float[Tensor, "r bins"]]:
+    ) -> tuple[Float[Tensor, "r {self.bins}+1"], Float[Tensor, "r {self.bins}"]]:
         """Ends, evenly in s, and weights of each ray's intervals.
 
         The weights are those of volume rendering, spread to neighbours and raised by a floor as in Mip-NeRF

@@ -19,7 +19,7 @@ class Config(Closed):
     """How large the field is, and for how long it is fitted to what."""
 
     architecture: Architecture = Architecture()
-    steps: Count = Field(default=1600, description="optimisation steps; about 2200 in the paper (N7)")
+    steps: Count = Field(default=800, description="optimisation steps; about 2200 in the paper (N7)")
     rays: Count = Field(default=512, description="random rays a step, over all views; 65536 in the paper (N8)")
     first_rays: Count = Field(default=256, description="rays of the first step; they grow to `rays` over `ramp_steps`")
     ramp_steps: Steps = Field(default=300, description="steps over which the rays of a step grow; paper: 0")
