@@ -16,7 +16,7 @@ a process of its own with one thread; larger is better for us. CPU seconds are u
   batch sizes of the rates.
 - fox_psnr: CPU seconds to dB over the whole held-out photos, mean of three seeds; needs `--fox`, a folder with
   transforms.json and images/. fox_largest_drop_db: below the best so far, over all seeds.
-- mlp_fma_share, encode_gather_share: see kernels.py.
+- mlp_fma_share, mlp_useful_share, encode_gather_share: see kernels.py.
 - growth_exponents: of the time of a step over rays, samples and entries of a table.
 
 Without `--fox` the peer is met on the demo capture.
@@ -169,8 +169,7 @@ def headline(measured: Figures) -> Figures:
         "rss_ratio_paper": peer["peak_memory_bytes"] / rates["paper"]["peak_memory_bytes"],
         "fox_psnr": None,
         "fox_largest_drop_db": None,
-        "mlp_fma_share": measured["kernels"]["mlp_fma_share"],
-        "encode_gather_share": measured["kernels"]["encode_gather_share"],
+        **{name: measured["kernels"][name] for name in ("mlp_fma_share", "mlp_useful_share", "encode_gather_share")},
         "growth_exponents": {
             name: found["exponent"] for name, found in measured["growth"].items() if isinstance(found, dict)
         },

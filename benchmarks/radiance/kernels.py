@@ -1,7 +1,8 @@
 """The kernels against one core: `python -m benchmarks.radiance.kernels` prints one JSON object.
 
-Networks: floating-point operations that the mathematics asks for (2 for each weight and row; twice that backward),
-over the time taken, over the measured peak of fused multiply-adds. What is computed again counts as nothing.
+Networks: fused multiply-adds over the time taken, over the measured peak. `mlp_fma_share` counts those performed (a
+weight and row: one forward, two backward, and one more for hidden layers, which the backward pass computes again instead
+of keeping), `mlp_useful_share` those that the mathematics asks for. What pads a width to whole vectors counts as nothing.
 
 Encoding: the time in which the core merely reads, one random cache line after another, the distinct lines that the
 corners of every point lie in, each level's from memory of that level's size; over the time taken.
@@ -75,8 +76,10 @@ def network_times(widths: tuple[int, ...], rows: int, repeats: int) -> dict[str,
     x, weights = numbers(rows, widths[0]), [numbers(out, into) / into**0.5 for into, out in pairs]
     out, out_grad = np.empty((rows, widths[-1]), np.float32), numbers(rows, widths[-1])
     x_grad, grads = np.empty_like(x), [np.empty_like(weight) for weight in weights]
-    work = 2e-9 * rows * sum(into * wide for into, wide in pairs)
+    layers = [2e-9 * rows * into * wide for into, wide in pairs]
+    work = sum(layers)
     return {
+        "again_gflop": sum(layers[:-1]),
         "forward_gflop": work,
         "forward_s": best_s(lambda: kernels.mlp_forward(x, weights, None, out), repeats),
         "backward_gflop": 2 * work,
@@ -124,15 +127,17 @@ def measure(rows: int, points: int, repeats: int) -> dict[str, Any]:
         name: {way: t[f"{way}_gflop"] / t[f"{way}_s"] / peak for way in ("forward", "backward")}
         for name, t in times.items()
     }
-    work = sum(t["forward_gflop"] + t["backward_gflop"] for t in times.values())
+    useful = sum(t["forward_gflop"] + t["backward_gflop"] for t in times.values())
+    again = sum(t["again_gflop"] for t in times.values())
     taken = sum(t["forward_s"] + t["backward_s"] for t in times.values())
     return {
         "isa": kernels.isa(),
         "rows": rows,
         "points": points,
         "fma_gflops": peak,
-        "mlp_fma_share": work / taken / peak,
-        "mlp_fma_share_by_network": networks,
+        "mlp_fma_share": (useful + again) / taken / peak,
+        "mlp_useful_share": useful / taken / peak,
+        "mlp_useful_share_by_network": networks,
         "encode_gather_share": encodings[f"2^{TABLES[0]}"]["gather_share"],
         "encodings": encodings,
     }
