@@ -1,8 +1,8 @@
 """The kernels against one core: `python -m benchmarks.radiance.kernels` prints one JSON object.
 
-Networks: fused multiply-adds over the time taken, over the measured peak. `mlp_fma_share` counts those performed (a
-weight and row: one forward, two backward, and one more for hidden layers, which the backward pass computes again instead
-of keeping), `mlp_useful_share` those that the mathematics asks for. What pads a width to whole vectors counts as nothing.
+Networks: multiply-adds over the time taken, over the measured peak. `mlp_fma_share` counts those performed (for each
+weight and row: one forward, two backward, and one more for hidden layers, which the backward pass computes again),
+`mlp_useful_share` those that the mathematics asks for. What pads a width to whole vectors counts as nothing.
 
 Encoding: the time in which the core merely reads, one random cache line after another, the distinct lines that the
 corners of every point lie in, each level's from memory of that level's size; over the time taken.
@@ -26,7 +26,7 @@ from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level, levels_of
 from inpaint3d.radiance.backends import reference
 
-NETWORKS = ((32, 64, 19), (31, 64, 64, 3), (64, 64, 64, 64))
+NETWORKS = ((32, 64, 19), (15, 64, 64, 3), (64, 64, 64, 64))
 TABLES = (17, 19)
 LEVELS, COARSEST, FINEST, CHANNELS = 8, 16, 1024, 4
 LINE = 64
