@@ -7,9 +7,13 @@ namespace inpaint3d::INPAINT3D_ISA {
 namespace {
 
 constexpr int kBatch = 64;           // points whose corners are found together; a multiple of every kLanes
-constexpr int64_t kBlock = 1 << 16;  // points of one task, at most: many, since a level's entries are then in L2 for most
-constexpr int64_t kInCache = 1 << 15;  // levels of fewer numbers need no prefetch; nor do entries of more than two, whose
-                                       // reads are already as many as the core keeps in flight (measured)
+// Points handled level by level, at most: many, since a level's entries are then in L2 for most.
+constexpr int64_t kBlock = 1 << 16;
+// Numbers of a point beyond which a block keeps its levels in planes of their own.
+constexpr int64_t kLongRow = 16;
+// Levels of fewer numbers need no prefetch; nor do entries of more than two, whose reads are already as many as the core
+// keeps in flight (measured).
+constexpr int64_t kInCache = 1 << 15;
 
 struct Corners {
   alignas(64) uint32_t index[8][kBatch];
@@ -148,49 +152,110 @@ inline void for_each_batch(const float* points, int64_t start, int64_t end, cons
   }
 }
 
+// A block's features, a plane [points, channels] for each level: what one level reads or writes lies together, where
+// rows of all levels would drive its entries out of the cache. Short rows need none of this, and stay where they are.
+template <int channels>
+class Planes {
+ public:
+  Planes(int64_t points, Grid grid)
+      : width_(int64_t{grid.level_count} * channels),
+        used_(width_ > kLongRow),
+        points_(points),
+        memory_(new float[used_ ? points * width_ : 0]) {}
+  ~Planes() { delete[] memory_; }
+  Planes(const Planes&) = delete;
+  Planes& operator=(const Planes&) = delete;
+
+  // Where a level's numbers of the block's first point are, given its row; and how far it is to the next point's.
+  template <class Number>
+  Number* at(Number* rows, int level) const {
+    return used_ ? memory_ + level * points_ * channels : rows + level * channels;
+  }
+  int64_t stride() const { return used_ ? channels : width_; }
+
+  void from_rows(const float* rows, int64_t begin, int64_t end) const {
+    if (!used_) return;
+    for_each_entry(begin, end, [&](int64_t row, float* plane) { copy(rows + row, plane); });
+  }
+  void to_rows(float* rows, int64_t begin, int64_t end) const {
+    if (!used_) return;
+    for_each_entry(begin, end, [&](int64_t row, float* plane) { copy(plane, rows + row); });
+  }
+
+ private:
+  template <class Visit>
+  void for_each_entry(int64_t begin, int64_t end, const Visit& visit) const {
+    for (int64_t p = begin; p < end; ++p)
+      for (int64_t at = 0; at < width_; at += channels) visit(p * width_ + at, memory_ + at * points_ + p * channels);
+  }
+  static void copy(const float* from, float* to) {
+    for (int c = 0; c < channels; ++c) to[c] = from[c];
+  }
+
+  int64_t width_;
+  bool used_;
+  int64_t points_;
+  float* memory_;
+};
+
 template <int channels>
 void forward(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads) {
   const int64_t width = int64_t{grid.level_count} * channels;
   const int64_t share = ((count + threads - 1) / threads + kBatch - 1) / kBatch * kBatch;
   const int64_t block = share < kBlock ? share : kBlock;
   parallel_for(count == 0 ? 0 : (count + block - 1) / block, threads, [&](int64_t task) {
-    const int64_t end = count < (task + 1) * block ? count : (task + 1) * block;
+    const int64_t begin = task * block, n = count - begin < block ? count - begin : block;
+    const Planes<channels> planes(n, grid);
     for (int index = 0; index < grid.level_count; ++index) {
       const Level& level = grid.levels[index];
       const float* entries = table + channels * level.offset;
-      for_each_batch<channels>(points, task * block, end, level, entries,
+      float* to = planes.at(out + begin * width, index);
+      for_each_batch<channels>(points + 3 * begin, 0, n, level, entries,
                                [&](int64_t p, int batch, const Corners& corners) {
-                                 gather<channels>(corners, batch, entries, out + p * width + index * channels, width);
+                                 gather<channels>(corners, batch, entries, to + p * planes.stride(), planes.stride());
                                });
     }
+    planes.to_rows(out + begin * width, 0, n);
   });
 }
 
-// One task owns a range of one level's entries and visits all points in order: no two tasks touch the same entry, and
-// an entry's sum has the same order for any number of ranges.
+// One task owns a range of one level's entries and visits a block's points in order: no two tasks touch the same entry,
+// and an entry's sum has the same order for any number of ranges.
 template <int channels>
 void backward(const float* points, int64_t count, const float* out_grad, Grid grid, float* table_grad, int threads) {
   const int64_t width = int64_t{grid.level_count} * channels;
   const int parts = grid.level_count > 0 ? (threads + grid.level_count - 1) / grid.level_count : 1;
-  parallel_for(int64_t{parts} * grid.level_count, threads, [&](int64_t task) {
-    // The finest levels cost the most: they go first.
-    const int index = grid.level_count - 1 - static_cast<int>(task / parts);
-    const Level level = grid.levels[index];
-    const uint32_t share = (level.size + parts - 1) / parts;
-    const uint32_t first = share * static_cast<uint32_t>(task % parts);
-    if (first >= level.size) return;
-    const uint32_t size = level.size - first < share ? level.size - first : share;
-    float* entries = table_grad + channels * level.offset;
-    // Here, not before: the range is then in the cache for what follows.
-    std::memset(entries + channels * int64_t{first}, 0, sizeof(float) * channels * int64_t{size});
-    for_each_batch<channels>(points, 0, count, level, entries, [&](int64_t p, int batch, const Corners& corners) {
-      const float* grad = out_grad + p * width + index * channels;
-      if (parts == 1)
-        scatter<channels, true>(corners, batch, grad, width, 0, level.size, entries);
-      else
-        scatter<channels, false>(corners, batch, grad, width, first, size, entries);
+  const Planes<channels> planes(count < kBlock ? count : kBlock, grid);
+  for (int64_t begin = 0; begin == 0 || begin < count; begin += kBlock) {
+    const int64_t n = count - begin < kBlock ? count - begin : kBlock;
+    const float* rows = out_grad + begin * width;
+    const int64_t share_of_copy = (n + threads - 1) / threads;
+    parallel_for(threads, threads, [&](int64_t task) {
+      const int64_t end = n < (task + 1) * share_of_copy ? n : (task + 1) * share_of_copy;
+      planes.from_rows(rows, task * share_of_copy, end);
     });
-  });
+    parallel_for(int64_t{parts} * grid.level_count, threads, [&](int64_t task) {
+      // The finest levels cost the most: they go first.
+      const int index = grid.level_count - 1 - static_cast<int>(task / parts);
+      const Level level = grid.levels[index];
+      const uint32_t share = (level.size + parts - 1) / parts;
+      const uint32_t first = share * static_cast<uint32_t>(task % parts);
+      if (first >= level.size) return;
+      const uint32_t size = level.size - first < share ? level.size - first : share;
+      float* entries = table_grad + channels * level.offset;
+      // Here, not before: the range is then in the cache for what follows.
+      if (begin == 0) std::memset(entries + channels * int64_t{first}, 0, sizeof(float) * channels * int64_t{size});
+      const float* from = planes.at(rows, index);
+      for_each_batch<channels>(points + 3 * begin, 0, n, level, entries,
+                               [&](int64_t p, int batch, const Corners& corners) {
+                                 const float* grad = from + p * planes.stride();
+                                 if (parts == 1)
+                                   scatter<channels, true>(corners, batch, grad, planes.stride(), 0, level.size, entries);
+                                 else
+                                   scatter<channels, false>(corners, batch, grad, planes.stride(), first, size, entries);
+                               });
+    });
+  }
 }
 
 using Forward = void (*)(const float*, int64_t, const float*, Grid, float*, int);

@@ -54,14 +54,33 @@ def test_forward_and_backward_follow_the_definition(isa, channels, count):
     np.testing.assert_allclose(grad, table_gradient(points, out_grad, HASHED, table.shape), atol=1e-4)
 
 
-def test_bits_do_not_depend_on_threads(isa):
+@pytest.mark.parametrize("channels", [1, 8])
+def test_many_points_are_encoded_as_few_are(isa, channels):
+    """More than a block's 65,536, with rows that are kept level by level inside (24 numbers), and with short ones."""
+    rng = np.random.default_rng(4)
+    points, few = rng.random((140_001, 3), np.float32), slice(139_990, None)
+    table = rng.standard_normal((637, channels)).astype(np.float32)
+    out, last = np.empty((140_001, 3 * channels), np.float32), np.empty((11, 3 * channels), np.float32)
+    kernels.hash_forward(points, table, HASHED, out, threads=2)
+    kernels.hash_forward(points[few], table, HASHED, last)
+    np.testing.assert_array_equal(out[few], last)
+
+    out_grad, grad = np.zeros_like(out), np.full_like(table, np.nan)
+    met = [0, 65_535, 65_536, 131_072, 140_000]
+    out_grad[met] = rng.standard_normal((5, 3 * channels))
+    kernels.hash_backward(points, out_grad, HASHED, grad, threads=2)
+    np.testing.assert_allclose(grad, table_gradient(points[met], out_grad[met], HASHED, table.shape), atol=1e-5)
+
+
+@pytest.mark.parametrize("channels", [4, 7])
+def test_bits_do_not_depend_on_threads(isa, channels):
     rng = np.random.default_rng(3)
     points = rng.random((5000, 3), np.float32)
-    table = rng.standard_normal((637, 4)).astype(np.float32)
-    out_grad = rng.standard_normal((5000, 12)).astype(np.float32)
+    table = rng.standard_normal((637, channels)).astype(np.float32)
+    out_grad = rng.standard_normal((5000, 3 * channels)).astype(np.float32)
     outs, grads = [], []
     for threads in (1, 2, 3, 8):
-        outs.append(np.empty((5000, 12), np.float32))
+        outs.append(np.empty_like(out_grad))
         kernels.hash_forward(points, table, HASHED, outs[-1], threads=threads)
         grads.append(np.zeros_like(table))
         kernels.hash_backward(points, out_grad, HASHED, grads[-1], threads=threads)
