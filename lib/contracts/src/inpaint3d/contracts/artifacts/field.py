@@ -71,6 +71,12 @@ class RadianceFieldArtifact(Closed):
     seed: int
     backend: str
     held_out_psnr: Finite | None = Field(default=None, description="dB, mean over test views (known pixels)")
+    depth_error: Finite | None = Field(
+        default=None, description="median relative error of the depth at the sparse points, as the cameras saw them"
+    )
+    floaters: Finite | None = Field(
+        default=None, description="mean opacity in front of nine tenths of the way to those points"
+    )
     decisions: dict[str, str] = Field(
         default={}, description="effects decided here (those that need the mask), with reasons"
     )

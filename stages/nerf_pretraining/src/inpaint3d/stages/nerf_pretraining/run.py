@@ -8,6 +8,7 @@ from inpaint3d.contracts.artifacts import EffectPlan, PosedCapture, RadianceFiel
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.radiance import backends
+from inpaint3d.radiance.agreement import agreement
 from inpaint3d.radiance.artifact import write_curve, write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import save_field
@@ -30,12 +31,13 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if not train:
         raise BadInputError(f"none of the {len(views)} posed views is for training; re-run pose-estimation")
 
+    points = load_points(posed.path(posed.metadata.points))
     spec = field_spec(
         config.architecture,
         plan,
         views=len(train),
         centre_depth=posed.metadata.centre_depth,
-        points=load_points(posed.path(posed.metadata.points)).xyz,
+        points=points.xyz,
     )
     field = RadianceField(spec, ctx.seed).to(ctx.device)
     pixels = Pixels.of(
@@ -49,6 +51,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     save_field(folder / "weights.safetensors", field)
     write_curve(folder, curve)
     score = HeldOut(test, config.view_side, ctx.device).psnr(field, config.block)
+    agrees = agreement(field, [view.camera for view in views], points, block=config.block)
     shown = write_views(
         folder,
         field,
@@ -65,6 +68,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         seed=ctx.seed,
         backend=backends.name_of(field.backend),
         held_out_psnr=None if math.isnan(score) else score,
+        depth_error=None if agrees is None else agrees.depth_error,
+        floaters=None if agrees is None else agrees.floaters,
         non_finite=ctx.non_finite,
     )
     outputs.write("radiance-field", metadata)

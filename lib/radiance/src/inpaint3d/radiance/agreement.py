@@ -1,0 +1,58 @@
+"""How well a field's surfaces agree with the sparse points that the poses came from."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.rays import Rays
+from inpaint3d.radiance.rendering import render
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.capture_io import SparsePoints
+
+# What stops light before this share of the way to a point that the camera saw is no surface.
+FRONT = 0.9
+MOST = 4096
+
+
+class Agreement(NamedTuple):
+    """At points as the cameras saw them; `points` counts those looked at."""
+
+    depth_error: float
+    """Median of |distance - point's distance| over the point's distance; the distance is the median along the ray."""
+    floaters: float
+    """Mean opacity gathered in front of nine tenths of the way to the point; 0 in clear air."""
+    points: int
+
+
+@torch.no_grad()
+def agreement(
+    field: RadianceField, cameras: Sequence[Camera], points: SparsePoints, *, block: int = 4096
+) -> Agreement | None:
+    """Look from the cameras at the points that they saw (at most 4096 sightings, evenly chosen); None without any.
+
+    `points.track_frame` indexes `cameras`.
+    """
+    sightings = len(points.track_frame)
+    if not sightings:
+        return None
+    chosen = np.unique(np.linspace(0, sightings - 1, MOST).round().astype(int))
+    origins = np.stack([camera.centre for camera in cameras])[points.track_frame[chosen]]
+    offsets = points.xyz[points.track_point[chosen]] - origins
+    distance = np.linalg.norm(offsets, axis=1)
+    rays = Rays(
+        torch.from_numpy(origins).to(field.device, torch.float32),
+        torch.from_numpy(offsets / distance[:, None]).to(field.device, torch.float32),
+        None,
+    )
+    found, in_front = [], []
+    for start in range(0, len(chosen), block):
+        part = slice(start, start + block)
+        seen = render(field, rays[part])
+        found.append(seen.median_depth.cpu().numpy())
+        clear = torch.from_numpy(FRONT * distance[part, None]).to(seen.tdist)
+        in_front.append((seen.weights * (seen.tdist[:, 1:] <= clear)).sum(1).cpu().numpy())
+    error = np.abs(np.concatenate(found) - distance) / distance
+    return Agreement(float(np.median(error)), float(np.concatenate(in_front).mean()), len(chosen))
