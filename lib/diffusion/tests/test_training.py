@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from inpaint3d.diffusion.masks import random_masks
+from inpaint3d.diffusion.schedules import scheduled
 from inpaint3d.diffusion.training import (
     Batch,
     TrainingState,
@@ -89,6 +90,20 @@ def test_an_untrained_residual_prior_has_the_loss_of_its_gaussian(shipped_like) 
     loss = denoising_loss(begin(spec, seed=0).prior, Batch(image, hole, torch.ones_like(hole)), generator)
     # 12,288 values: known to 1.3 %.
     assert loss.item() == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("schedule", ["linear", "shifted"])
+def test_a_schedule_says_which_noise_levels_are_learnt(schedule, paper_like, picture, hole) -> None:
+    def loss(spec, t: float) -> float:
+        prior = begin(spec, seed=0).prior
+        torch.nn.init.normal_(prior.network.head.weight, std=0.1, generator=torch.Generator().manual_seed(0))
+        batch = Batch(picture, hole, torch.ones_like(hole))
+        return denoising_loss(prior, batch, torch.Generator().manual_seed(1), (t, t)).item()
+
+    scheduled_spec = paper_like.model_copy(update={"schedule": schedule})
+    same_noise = scheduled(torch.tensor(0.5), schedule, paper_like.size).item()
+    assert loss(scheduled_spec, 0.5) == pytest.approx(loss(paper_like, same_noise), rel=1e-5)
+    assert loss(scheduled_spec, 0.5) != pytest.approx(loss(paper_like, 0.5), rel=1e-3)
 
 
 def test_a_step_without_a_finite_gradient_changes_no_weight(shipped_like, picture) -> None:

@@ -19,6 +19,7 @@ from torch import Tensor
 from inpaint3d.contracts.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
 from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
+from inpaint3d.diffusion.schedules import scheduled
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ def denoising_loss(
     # Stratified: a batch covers all noise levels, which takes noise out of the loss (VDM, arXiv:2107.00630, I.1).
     stratum = (torch.arange(count) + torch.rand(count, generator=generator)) / count
     t = t_range[0] + (t_range[1] - t_range[0]) * stratum[torch.randperm(count, generator=generator)]
+    t = scheduled(t, spec.schedule, spec.size)
     eps = torch.randn(batch.image.shape, generator=generator)
     noise_fill = torch.randn(batch.image.shape, generator=generator)
     dropped = (torch.rand(count, 1, 1, 1, generator=generator) < spec.condition_dropout).float()

@@ -42,7 +42,11 @@ class PriorSpec(Closed):
         description="residual only: spread of each opponent colour (lightness, red-blue, green-magenta) as a share of "
         "lightness's",
     )
-    schedule: Literal["cosine"] = "cosine"
+    schedule: Literal["cosine", "linear", "shifted"] = Field(
+        default="cosine",
+        description="how often training visits each noise level: uniform in the t of this schedule; 'shifted': cosine "
+        "moved by 2 log(64 / size) in log SNR",
+    )
     condition_dropout: Share = 0.1
 
     @model_validator(mode="after")
