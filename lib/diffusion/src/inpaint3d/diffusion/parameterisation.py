@@ -24,7 +24,7 @@ from inpaint3d.diffusion.bands import band_filter, from_opponent, to_opponent
 from inpaint3d.diffusion.schedules import alpha, per_image, sigma
 
 Kind = Literal["eps", "v", "x0", "residual"]
-Image = Float[Tensor, "b 3 h w"]
+Image = Float[Tensor, "b c h w"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class Parameterisation:
 
     kind: Kind
     t: Float[Tensor, "b"]
-    bands: tuple[float, ...]
-    colours: tuple[float, float, float]
+    bands: tuple[float, ...] = ()
+    colours: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def clean(self, output: Image, z: Image, fill: Image) -> Image:
         """x_hat, where z = a x_hat + s eps_hat."""
@@ -96,6 +96,6 @@ class Parameterisation:
         return a, s, d, (a**2 * d**2 + s**2).sqrt()
 
 
-def _filter(x: Image, gains: Float[Tensor, "b k 3"]) -> Image:
+def _filter(x: Float[Tensor, "b 3 h w"], gains: Float[Tensor, "b k 3"]) -> Float[Tensor, "b 3 h w"]:
     """RGB pictures with a gain for each band and opponent colour."""
     return from_opponent(band_filter(to_opponent(x), gains))

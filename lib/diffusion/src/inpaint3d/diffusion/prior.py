@@ -9,19 +9,15 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
 
 from inpaint3d.contracts.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance, to_opponent
+from inpaint3d.diffusion.denoiser import Image, Mask, Times, guided
 from inpaint3d.diffusion.fill import pyramid_fill
 from inpaint3d.diffusion.parameterisation import Parameterisation
 from inpaint3d.diffusion.schedules import cosine_log_snr
 from inpaint3d.diffusion.unet import EfficientUNet
-
-Image = Float[Tensor, "b 3 h w"]
-Mask = Float[Tensor, "b 1 h w"]
-Times = Float[Tensor, "b"]
 
 
 @dataclass(frozen=True)
@@ -41,27 +37,31 @@ def bf16_pays(device: str = "cpu") -> bool:
 
 
 class InpaintingPrior(nn.Module):
-    """EfficientUNet plus the convention of its spec (conformance D5 to D11).
+    """A `Denoiser`: EfficientUNet plus the convention of its spec (conformance D5 to D11).
 
     bf16: run the network under bfloat16 autocast. Weights, inputs and outputs stay float32.
+    network: what runs instead of an EfficientUNet with random weights of this seed.
     """
 
-    def __init__(self, spec: PriorSpec, seed: int = 0, *, bf16: bool = False) -> None:
+    bound = 1.0
+
+    def __init__(self, spec: PriorSpec, seed: int = 0, *, bf16: bool = False, network: nn.Module | None = None) -> None:
         super().__init__()
         self.spec = spec
         self.bf16 = bf16
-        channels = 6 if spec.condition == "noise-fill" else 7
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.network = EfficientUNet(
-                channels,
-                3,
-                width=spec.width,
-                multipliers=spec.multipliers,
-                blocks=spec.blocks,
-                attention=spec.attention,
-                packing=spec.packing,
-            )
+        self.network = _random_network(spec, seed) if network is None else network
+
+    @property
+    def size(self) -> int:
+        return self.spec.size
+
+    def encode(self, image: Image) -> Image:
+        """The image itself: this prior denoises pixels."""
+        return image
+
+    def decode(self, latent: Image) -> Image:
+        """The image itself."""
+        return latent
 
     def filled(self, image: Image, mask: Mask, noise_fill: Image | None = None) -> Image:
         """The picture as the condition shows it: known pixels, and in the hole noise (D5) or a smooth fill.
@@ -115,29 +115,35 @@ class InpaintingPrior(nn.Module):
             noise = torch.where(mask > 0, noise, (z - a * image) / s)
         return Estimate(clean, noise)
 
-    def guided(
-        self, z: Image, t: Times, image: Image, mask: Mask, *, guidance: float = 1.0, noise_fill: Image | None = None
-    ) -> Estimate:
-        """Classifier-free guidance, eps_null + guidance * (eps_cond - eps_null) (arXiv:2207.12598).
-
-        guidance 1 is the plain conditional estimate and 0 the unconditional one; each costs one network call, any
-        other value two. The null condition is the all-hole picture (D11): it stays in-distribution.
-        """
-        if guidance == 1:
-            return self.estimate(z, t, image, mask, noise_fill)
-        null = self.estimate(z, t, torch.zeros_like(image), torch.ones_like(mask), noise_fill)
-        if guidance == 0:
-            return null
-        conditional = self.estimate(z, t, image, mask, noise_fill)
-        return Estimate(
-            null.clean + guidance * (conditional.clean - null.clean),
-            null.noise + guidance * (conditional.noise - null.noise),
-        )
-
     def predict_noise(
         self, z: Image, t: Times, image: Image, mask: Mask, *, guidance: float = 1.0, noise_fill: Image | None = None
     ) -> Image:
-        """eps_hat(z_t; t, y) of the paper, guided. z is noised everywhere; `image` under the mask is never
-        looked at.
+        """eps_hat(z_t; t, y) of the paper, guided; the null condition is the all-hole picture (D11): it stays
+        in-distribution. z is noised everywhere; `image` under the mask is never looked at.
         """
-        return self.guided(z, t, image, mask, guidance=guidance, noise_fill=noise_fill).noise
+
+        def noise(image: Image, mask: Mask) -> Image:
+            return self.estimate(z, t, image, mask, noise_fill).noise
+
+        return guided(
+            lambda: noise(image, mask), lambda: noise(torch.zeros_like(image), torch.ones_like(mask)), guidance
+        )
+
+
+def input_channels(spec: PriorSpec) -> int:
+    """Channels that the network is shown: z or its linear guess, the picture, and the mask where the spec has one."""
+    return 6 if spec.condition == "noise-fill" else 7
+
+
+def _random_network(spec: PriorSpec, seed: int) -> EfficientUNet:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return EfficientUNet(
+            input_channels(spec),
+            3,
+            width=spec.width,
+            multipliers=spec.multipliers,
+            blocks=spec.blocks,
+            attention=spec.attention,
+            packing=spec.packing,
+        )

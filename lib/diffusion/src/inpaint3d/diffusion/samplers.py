@@ -6,13 +6,14 @@
 
 import itertools
 from collections.abc import Callable
+from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
-from inpaint3d.diffusion.schedules import alpha, per_image, sigma
+from inpaint3d.diffusion.denoiser import Denoiser, Image, Mask
+from inpaint3d.diffusion.schedules import alpha, cosine_log_snr, per_image, sigma
 
 Predict = Callable[[Tensor, Tensor], Tensor]
 
@@ -56,30 +57,70 @@ def ddim(
     return z
 
 
+def ddim_inversion(
+    predict: Predict, x: Float[Tensor, "b c h w"], times: Float[Tensor, "n *b"]
+) -> Float[Tensor, "b c h w"]:
+    """The z at times[0] from which `ddim` over the same times leads to x (arXiv:2010.02502, section 4.3).
+
+    The noise of a step is asked for at its less noisy end, which is all that is known of it: first order, like `ddim`.
+    """
+    z = x
+    for t, s in reversed(_pairs(times, x)):
+        a_t, s_t, a_s, s_s = _levels(t, s)
+        noise = predict(z, s)
+        z = a_t * _clean(noise, z, a_s, s_s, None) + s_t * noise
+    return z
+
+
+def dpm_solver(
+    predict: Predict, z: Float[Tensor, "b c h w"], times: Float[Tensor, "n *b"], *, clip: float | None = None
+) -> Float[Tensor, "b c h w"]:
+    """DPM-Solver++(2M): second order from one call a step (arXiv:2211.01095, algorithm 2), lambda = log(alpha / sigma).
+
+    The first step and the last are first order: nothing lies before the one, and the other leaps in lambda, over which
+    the line through two estimates would be drawn far beyond them.
+    """
+    pairs = _pairs(times, z)
+    before, h_before = None, None
+    for i, (t, s) in enumerate(pairs):
+        a_t, s_t, a_s, s_s = _levels(t, s)
+        clean = _clean(predict(z, t), z, a_t, s_t, clip)
+        h = per_image(cosine_log_snr(s) - cosine_log_snr(t)) / 2
+        D = clean
+        if before is not None and h_before is not None and i < len(pairs) - 1:
+            r = h_before / h
+            D = (1 + 1 / (2 * r)) * clean - 1 / (2 * r) * before
+        z = (s_s / s_t) * z - a_s * torch.expm1(-h) * D
+        before, h_before = clean, h
+    return z
+
+
 def inpaint(
-    prior: InpaintingPrior,
+    denoiser: Denoiser,
     image: Image,
     mask: Mask,
     *,
     steps: int,
     generator: torch.Generator,
     guidance: float = 1.0,
-    ancestral: bool = False,
+    sampler: Literal["ddim", "ddpm", "dpm-solver"] = "ddim",
 ) -> Image:
     """A sample of what may be in the hole, in [-1, 1]; known pixels come back untouched."""
-    noise = torch.randn(image.shape, generator=generator).to(image)
-    noise_fill = torch.randn(image.shape, generator=generator).to(image)
-
-    def predict(z: Tensor, t: Tensor) -> Tensor:
-        return prior.predict_noise(z, t, image, mask, guidance=guidance, noise_fill=noise_fill)
-
-    times = uniform_times(steps)
     with torch.no_grad():
-        if ancestral:
-            sample = ddpm(predict, noise, times, generator=generator, clip=1.0)
+        z = denoiser.encode(torch.where(mask > 0, 0.0, image))
+        noise = torch.randn(z.shape, generator=generator).to(z)
+        noise_fill = torch.randn(image.shape, generator=generator).to(image)
+
+        def predict(z: Tensor, t: Tensor) -> Tensor:
+            return denoiser.predict_noise(z, t, image, mask, guidance=guidance, noise_fill=noise_fill)
+
+        times = uniform_times(steps)
+        if sampler == "ddpm":
+            sample = ddpm(predict, noise, times, generator=generator, clip=denoiser.bound)
         else:
-            sample = ddim(predict, noise, times, clip=1.0)
-    return torch.where(mask > 0, sample.clamp(-1, 1), image)
+            solve = ddim if sampler == "ddim" else dpm_solver
+            sample = solve(predict, noise, times, clip=denoiser.bound)
+        return torch.where(mask > 0, denoiser.decode(sample).clamp(-1, 1), image)
 
 
 def _pairs(times: Tensor, z: Tensor) -> list[tuple[Tensor, Tensor]]:
