@@ -47,6 +47,31 @@ def test_a_run_that_was_killed_goes_on_as_if_it_had_not_been(shipped_like, pictu
             assert torch.equal(weight, theirs.state_dict()[name]), name
 
 
+def test_gradients_of_the_parts_add_up_to_those_of_the_whole(shipped_like, picture, hole) -> None:
+    def loss(i: int):
+        batch = Batch(picture[i : i + 1], hole[:1], torch.ones_like(hole[:1]))
+        return lambda prior: denoising_loss(prior, batch, torch.Generator().manual_seed(i))
+
+    whole, parts = begin(shipped_like, seed=0), begin(shipped_like, seed=0)
+    one = train_step(whole, lambda prior: (loss(0)(prior) + loss(1)(prior)) / 2, learning_rate=1e-3)
+    assert train_step(parts, loss(0), loss(1), learning_rate=1e-3) == pytest.approx(one)
+    for mine, other in zip(parts.prior.parameters(), whole.prior.parameters(), strict=True):
+        if other.grad is not None:
+            torch.testing.assert_close(mine.grad, other.grad, rtol=1e-4, atol=1e-7)
+
+
+def test_channels_last_learns_the_same_and_resumes_exactly(shipped_like, picture, tmp_path: Path) -> None:
+    plain, last = begin(shipped_like, seed=0), begin(shipped_like, seed=0, channels_last=True)
+    assert last.prior.network.stem.weight.is_contiguous(memory_format=torch.channels_last)
+    losses = [_step(last, picture) for _ in range(3)]
+    # Other convolution kernels: sums in another order.
+    assert losses == pytest.approx([_step(plain, picture) for _ in range(3)], rel=1e-3)
+    save_checkpoint(tmp_path / "checkpoint.safetensors", last)
+    resumed = begin(shipped_like, seed=9, channels_last=True)
+    load_checkpoint(tmp_path / "checkpoint.safetensors", resumed)
+    assert [_step(resumed, picture) for _ in range(2)] == [_step(last, picture) for _ in range(2)]
+
+
 def test_a_checkpoint_of_another_architecture_is_refused(shipped_like, paper_like, tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "checkpoint.safetensors", begin(paper_like, seed=0))
     with pytest.raises(ValueError, match="another architecture"):

@@ -2,6 +2,9 @@
 
 import csv
 import io
+import subprocess
+import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from inpaint3d.contracts.artifacts import (
     DiffusionPrior,
@@ -24,7 +28,7 @@ from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Interr
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.store import Artifact, Store
-from inpaint3d.diffusion.io import load_prior
+from inpaint3d.diffusion.io import load_prior, open_prior
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
@@ -146,6 +150,32 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(store, inputs, tmp_pat
     assert train(elsewhere, inputs).digest == resumed.digest
 
 
+def test_killed_without_warning_it_goes_on_to_the_same_bytes(store, inputs, tmp_path) -> None:
+    plan = TINY | {"steps": 60, "curve_rows": 20}
+    (tmp_path / "invocation.json").write_text(Invocation(inputs=inputs, parameters=plan, threads=1).model_dump_json())
+    script = (
+        f"import {MODULE}.run as run; run.CHECKPOINT_S = 0\n"
+        f"from inpaint3d.contracts.shim import serve; serve('{MODULE}')"
+    )
+    options = ["run", "--store", str(store.root), "--invocation", str(tmp_path / "invocation.json")]
+    process = subprocess.Popen([sys.executable, "-c", script, *options], stdout=subprocess.DEVNULL)
+    while not list(store.root.glob("work/*/checkpoint.safetensors")):
+        assert process.poll() is None, "it ended before its first checkpoint"
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+
+    events = io.StringIO()
+    resumed = train(store, inputs, events, **plan)
+    assert "going on from step" in events.getvalue()
+    elsewhere = Store(tmp_path / "elsewhere")
+    for digest in inputs.values():
+        elsewhere.adopt(store.object_path(digest), store.manifest(digest))
+    unbroken = train(elsewhere, inputs, **plan)
+    assert resumed.path("training_curve.csv").read_text() == unbroken.path("training_curve.csv").read_text()
+    assert resumed.digest == unbroken.digest
+
+
 def test_threads_on_offer_change_no_byte(store, inputs, tmp_path) -> None:
     elsewhere = Store(tmp_path / "elsewhere")
     for digest in inputs.values():
@@ -195,6 +225,43 @@ def test_a_corpus_is_learnt_from_too(store, room, inputs) -> None:
     both = train(store, inputs | {"image-corpus": put_corpus(store, room)})
     assert both.metadata.trained_on.endswith("and 6 pictures of an image corpus")
     assert both.path("weights.safetensors").read_bytes() != alone.path("weights.safetensors").read_bytes()
+
+
+def test_a_damaged_picture_of_a_corpus_is_named(store, room, inputs) -> None:
+    folder = store.private_folder()
+    (folder / "broken.jpg").write_bytes(b"no picture")
+    picture = ImageCorpus.Picture(name="broken", path="broken.jpg", scene="room", split="train")
+    corpus = store.put(folder, "image-corpus", ImageCorpus(pictures=(picture,)))
+    with pytest.raises(BadInputError, match=r"broken\.jpg is not a picture"):
+        train(store, inputs | {"image-corpus": corpus})
+
+
+def test_a_step_of_several_parts_takes_them_all(store, inputs) -> None:
+    curves = {}
+    for parts in (1, 2):
+        prior = train(store, inputs, steps=2, curve_rows=2, parts=parts)
+        rows = csv.DictReader(prior.path("training_curve.csv").read_text().splitlines())
+        curves[parts] = [float(row["loss"]) for row in rows]
+    # The first part of the first step is the same; the second is of other crops.
+    other = 2 * curves[2][0] - curves[1][0]
+    assert other > 0
+    assert other != pytest.approx(curves[1][0], rel=1e-3)
+
+
+# What the exporter uses of torch and onnxscript is old to torch itself.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_the_faster_runtime_is_measured_and_recorded(store, inputs) -> None:
+    prior = train(store, inputs, runtime="fastest", steps=1, channels_last=True)
+    seconds = prior.metadata.query_seconds
+    assert set(seconds) == {"torch", "onnxruntime"}
+    assert prior.metadata.runtime == min(seconds, key=seconds.get)
+    assert prior.metadata.onnx == "network.onnx"
+    image, hole = torch.zeros(1, 3, 16, 16), torch.zeros(1, 1, 16, 16)
+    hole[..., 4:12, 4:12] = 1
+    z = torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+    chosen, plain = open_prior(prior), load_prior(prior.path(prior.metadata.weights), prior.metadata.spec)
+    here, there = (p.predict_noise(z, torch.full((1,), 0.5), image, hole) for p in (plain, chosen))
+    torch.testing.assert_close(there, here, rtol=0, atol=1e-4)
 
 
 def test_masks_over_nearly_everything_are_bad_input(store, room, inputs) -> None:

@@ -5,8 +5,10 @@ from pathlib import Path
 import torch
 from safetensors.torch import load_file, save
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.artifacts.prior import DiffusionPrior, PriorSpec
+from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.runtimes import load_onnx
 
 
 def save_prior(path: Path, prior: InpaintingPrior, *, half: bool = False) -> None:
@@ -31,3 +33,11 @@ def load_prior(path: Path, spec: PriorSpec, *, bf16: bool = False) -> Inpainting
     except RuntimeError as error:
         raise ValueError(f"{path} does not hold the weights of {spec!r}: {error}") from error
     return prior.eval().requires_grad_(False)
+
+
+def open_prior(prior: Artifact[DiffusionPrior], *, threads: int = 1) -> InpaintingPrior:
+    """The prior of an artifact in the runtime that it names, ready to be queried. ValueError as of `load_prior`."""
+    metadata = prior.metadata
+    if metadata.runtime == "onnxruntime" and metadata.onnx is not None:
+        return load_onnx(prior.path(metadata.onnx), metadata.spec, threads)
+    return load_prior(prior.path(metadata.weights), metadata.spec)

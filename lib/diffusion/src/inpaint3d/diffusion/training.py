@@ -18,6 +18,7 @@ from torch import Tensor
 
 from inpaint3d.contracts.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
+from inpaint3d.diffusion.parallel import average_over_ranks
 from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
 from inpaint3d.diffusion.schedules import scheduled
 
@@ -54,20 +55,32 @@ class TrainingState:
         self.pending.clear()
 
 
-def begin(spec: PriorSpec, seed: int, start: InpaintingPrior | None = None, *, bf16: bool = False) -> TrainingState:
-    """A fresh state: random weights of this seed, or those of `start`, with a new optimiser."""
+def begin(
+    spec: PriorSpec,
+    seed: int,
+    start: InpaintingPrior | None = None,
+    *,
+    bf16: bool = False,
+    channels_last: bool = False,
+) -> TrainingState:
+    """A fresh state: random weights of this seed, or those of `start`, with a new optimiser.
+
+    channels_last: keep weights and features with the channels innermost, which some processors convolve faster.
+    """
     prior, average = InpaintingPrior(spec, seed, bf16=bf16), InpaintingPrior(spec, seed, bf16=bf16)
     if start is not None:
         prior.load_state_dict(start.state_dict())
         average.load_state_dict(start.state_dict())
     average.requires_grad_(False).eval()
+    if channels_last:
+        prior, average = (p.to(memory_format=torch.channels_last) for p in (prior, average))
     optimiser = torch.optim.Adam(prior.parameters(), lr=1e-4, betas=(0.9, 0.99), fused=True)
     return TrainingState(prior, average, optimiser)
 
 
-def step_generators(seed: int, step: int) -> tuple[np.random.Generator, torch.Generator]:
-    """The randomness of one step, the same whether or not the run was interrupted before it."""
-    entropy = np.random.SeedSequence((seed, step))
+def step_generators(seed: int, step: int, part: int = 0) -> tuple[np.random.Generator, torch.Generator]:
+    """The randomness of one part of a step's batch: the same whether or not the run was interrupted before it."""
+    entropy = np.random.SeedSequence((seed, step, part))
     seed_for_torch = int(entropy.generate_state(1, np.uint64)[0] >> 1)
     return np.random.default_rng(entropy), torch.Generator().manual_seed(seed_for_torch)
 
@@ -124,13 +137,15 @@ def pictured(fill: Image, hole: Mask, spec: PriorSpec) -> Image:
 
 def train_step(
     state: TrainingState,
-    loss_of: Callable[[InpaintingPrior], Tensor],
-    *,
+    *losses: Callable[[InpaintingPrior], Tensor],
     learning_rate: float,
     ema: float = 0.9999,
     clip: float = 1.0,
 ) -> float:
     """One Adam step with clipped gradients and the running average (D13). Returns the loss.
+
+    losses: one for each part of the batch. Gradients of their mean are accumulated part by part, so that memory is that
+    of one, and averaged over the ranks, each of which brings as many parts of its own.
 
     A step whose gradient is not finite changes nothing but the step count, and returns the non-finite loss: the caller
     counts and reports it.
@@ -138,8 +153,12 @@ def train_step(
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate
     state.optimiser.zero_grad(set_to_none=True)
-    loss = loss_of(state.prior)
-    loss.backward()
+    loss = torch.zeros((), device=next(state.prior.parameters()).device)
+    for loss_of in losses:
+        part = loss_of(state.prior) / len(losses)
+        part.backward()
+        loss += part.detach()
+    average_over_ranks([loss, *(p.grad for p in state.prior.parameters() if p.grad is not None)])
     norm = torch.nn.utils.clip_grad_norm_(state.prior.parameters(), clip)
     state.step += 1
     if not torch.isfinite(norm):
@@ -190,9 +209,13 @@ def load_checkpoint(path: Path, state: TrainingState) -> None:
         raise ValueError(f"checkpoint {path} belongs to another architecture: {error}") from error
     state.optimiser.state.clear()
     for name, parameter in state.prior.named_parameters():
-        moments = {key: tensors.get(f"optimiser.{key}.{name}") for key in ("step", "exp_avg", "exp_avg_sq")}
-        if moments["step"] is not None:
-            state.optimiser.state[parameter] = moments
+        if f"optimiser.step.{name}" in tensors:
+            moments = {key: tensors[f"optimiser.{key}.{name}"] for key in ("step", "exp_avg", "exp_avg_sq")}
+            # In the parameter's own memory format, which the fused step takes for granted.
+            state.optimiser.state[parameter] = {
+                key: value if value.ndim == 0 else torch.empty_like(parameter).copy_(value)
+                for key, value in moments.items()
+            }
     state.step = int(tensors["step"])
     state.curve = [(int(step), loss, held_out) for step, loss, held_out in tensors["curve"].tolist()]
     state.pending = tensors["pending"].tolist()

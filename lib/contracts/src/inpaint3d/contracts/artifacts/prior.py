@@ -61,6 +61,13 @@ class DiffusionPrior(Closed):
 
     spec: PriorSpec
     weights: RelativePath = "weights.safetensors"
+    onnx: RelativePath | None = Field(
+        default=None, description="the network for onnxruntime: batches of pictures of the spec's size"
+    )
+    runtime: Literal["torch", "onnxruntime"] = Field(default="torch", description="what it is to be queried with")
+    query_seconds: dict[str, Positive] = Field(
+        default={}, description="wall seconds of a denoising step by runtime, where the faster one was asked for"
+    )
     training_curve: RelativePath = "training_curve.csv"
     samples: tuple[RelativePath, ...] = Field(default=(), description="grids: masked, sample, truth")
     steps: int
@@ -69,3 +76,9 @@ class DiffusionPrior(Closed):
     start: str = Field(default="scratch", description="'scratch' or the digest of the prior it was fine-tuned from")
     held_out: dict[str, Finite] = Field(default={}, description="figures on held-out crops, by name")
     non_finite: dict[str, int] = {}
+
+    @model_validator(mode="after")
+    def _runtime_is_there(self) -> "DiffusionPrior":
+        if self.runtime == "onnxruntime" and self.onnx is None:
+            raise ValueError("runtime 'onnxruntime' needs the network as ONNX: name its file in 'onnx'")
+        return self

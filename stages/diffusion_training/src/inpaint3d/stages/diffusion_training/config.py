@@ -48,7 +48,10 @@ class Config(Closed):
         default=SMALL, description="architecture and conditioning; a pretrained prior brings its own"
     )
     steps: Annotated[int, Field(ge=0)] = Field(default=260, description="training steps; 2,250,000 in the paper (D12)")
-    batch: Count = Field(default=8, description="crops a step (D12)")
+    batch: Count = Field(default=8, description="crops of a part of a step (D12); memory is that of one part")
+    parts: Count = Field(
+        default=1, description="parts of a step, whose gradients are accumulated, or shared out over ranks"
+    )
     learning_rate: Positive = Field(
         default=8e-4, description="peak of Adam's rate from scratch; 1e-4 in the paper (D13)"
     )
@@ -61,6 +64,12 @@ class Config(Closed):
     crop_share: tuple[Share, Share] = Field(
         default=(0.45, 1.0), description="side of the square crops, share of the frame's shorter side (D3)"
     )
+    whole_share: Share = Field(
+        default=0.0, description="share of crops that are the largest square of their frame instead (D3)"
+    )
+    enlarged: Annotated[float, Field(ge=1)] = Field(
+        default=1.0, description="by how much a crop may be enlarged; 1.5 in the paper, from 720 rows to 1080 (D2)"
+    )
     masks: MaskMix = MaskMix()
     corpus_share: Share = Field(default=0.5, description="share of crops from the image corpus, where one is wired")
     exam: Count = Field(default=24, description="held-out crops that the prior is judged on")
@@ -68,6 +77,13 @@ class Config(Closed):
     curve_rows: Count = Field(default=10, description="rows of the training curve")
     precision: Literal["auto", "fp32", "bf16"] = Field(
         default="auto", description="of the matrix products; auto: bf16 where the processor has units for it"
+    )
+    channels_last: bool = Field(default=False, description="keep channels innermost in memory")
+    compiled: bool = Field(default=False, description="compile the network before training; costs minutes at the start")
+    runtime: Literal["torch", "onnxruntime", "fastest"] = Field(
+        default="torch",
+        description="what the prior is queried with afterwards; fastest: measured on this machine, so that two runs "
+        "may differ",
     )
 
     @model_validator(mode="after")

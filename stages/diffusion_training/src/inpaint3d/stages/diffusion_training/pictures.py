@@ -6,6 +6,7 @@ averaged, and every crop carries the pixels that it touched so that they are nei
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -64,15 +65,27 @@ def known_pictures(
     return training, held_out
 
 
-def corpus_pictures(corpus: Artifact[ImageCorpus] | None) -> list[KnownPicture]:
-    """The training pictures of an image corpus; all of their pixels are known."""
+@dataclass(frozen=True)
+class StoredPicture:
+    """A picture of a corpus, decoded when it is drawn: a corpus need not fit into memory. All its pixels are known."""
+
+    name: str
+    path: Path
+
+    def read(self) -> KnownPicture:
+        image = read_image(self.path)
+        nothing = np.zeros(image.shape[:2], bool)
+        return _known(self.name, image, nothing, nothing)
+
+
+Picture = KnownPicture | StoredPicture
+
+
+def corpus_pictures(corpus: Artifact[ImageCorpus] | None) -> list[StoredPicture]:
+    """The training pictures of an image corpus; those of its test split are for judging alone."""
     if corpus is None:
         return []
-    paths = [(p.name, corpus.root / p.path) for p in corpus.metadata.pictures if p.split == "train"]
-    images = [(name, read_image(path)) for name, path in paths]
-    return [
-        _known(name, image, np.zeros(image.shape[:2], bool), np.zeros(image.shape[:2], bool)) for name, image in images
-    ]
+    return [StoredPicture(p.name, corpus.root / p.path) for p in corpus.metadata.pictures if p.split == "train"]
 
 
 def _known(name: str, image: Image, hole: Mask, unknown: Mask) -> KnownPicture:
@@ -90,10 +103,15 @@ class Cropper:
     mix: MaskMix
     shapes: Sequence[Mask]
     """Masks of the capture: their shapes serve as holes elsewhere."""
+    whole_share: float = 0.0
+    """How many crops are the largest square of their picture instead."""
+    enlarged: float = 1.0
+    """By how much a crop may be enlarged, at least 1."""
 
-    def batch(self, pictures: Sequence[KnownPicture], rng: np.random.Generator) -> Batch:
+    def batch(self, pictures: Sequence[Picture], rng: np.random.Generator) -> Batch:
         """One crop of each picture; unknown pixels lie in the hole and are not taught."""
-        crops = [self._crop(picture, rng) for picture in pictures]
+        known = (picture.read() if isinstance(picture, StoredPicture) else picture for picture in pictures)
+        crops = [self._crop(picture, rng) for picture in known]
         colour, unknown = (np.stack(parts) for parts in zip(*crops, strict=True))
         hole = np.stack([self._hole(rng) for _ in pictures]) | unknown
         return Batch(
@@ -118,9 +136,10 @@ class Cropper:
     def _square(self, picture: KnownPicture, rng: np.random.Generator) -> tuple[Image, Mask]:
         height, width = picture.unknown.shape
         short = min(height, width)
-        side = round(short * float(np.exp(rng.uniform(*np.log(np.maximum(self.share, 1e-3))))))
-        # Enlarging teaches blur: no smaller than the prior's own size where the frame allows.
-        side = min(short, max(side, self.size))
+        share = float(np.exp(rng.uniform(*np.log(np.maximum(self.share, 1e-3)))))
+        side = short if rng.random() < self.whole_share else round(short * share)
+        # Enlarging teaches blur: where the frame allows, no more of it than was asked for.
+        side = min(short, max(side, round(self.size / self.enlarged)))
         y, x = (int(rng.integers(extent - side + 1)) for extent in (height, width))
         window = np.s_[y : y + side, x : x + side]
         flip = np.s_[:, ::-1] if rng.random() < 0.5 else np.s_[:]
@@ -129,7 +148,9 @@ class Cropper:
         return np.ascontiguousarray(colour[flip]), np.ascontiguousarray(unknown[flip])
 
     def _resized(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(cv2.resize(array, (self.size, self.size), interpolation=cv2.INTER_AREA), np.float32)
+        # INTER_AREA is an average when it shrinks, but when it enlarges little better than repeating pixels.
+        method = cv2.INTER_AREA if array.shape[0] >= self.size else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(array, (self.size, self.size), interpolation=method), np.float32)
 
     def _hole(self, rng: np.random.Generator) -> Mask:
         shares = {"rectangles": self.mix.rectangles, "strokes": self.mix.strokes, "blobs": self.mix.blobs}

@@ -1,11 +1,15 @@
 """Train the inpainting prior on the capture's own known pixels, from scratch or from a pretrained prior."""
 
 import csv
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus, MaskSet, PosedCapture, PriorSpec
 from inpaint3d.contracts.context import Context, Inputs, Outputs
@@ -14,6 +18,7 @@ from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.io import load_prior, save_prior
 from inpaint3d.diffusion.judging import compare_fills
 from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
+from inpaint3d.diffusion.runtimes import export_onnx, load_onnx, seconds_per_query
 from inpaint3d.diffusion.training import (
     Batch,
     TrainingState,
@@ -25,18 +30,24 @@ from inpaint3d.diffusion.training import (
     train_step,
     warmed_up,
 )
+from inpaint3d.stages.diffusion_training.ahead import MadeAhead
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.grids import held_out_grid, own_holes_grid
 from inpaint3d.stages.diffusion_training.pictures import (
     Cropper,
     KnownPicture,
+    Picture,
+    StoredPicture,
     corpus_pictures,
     known_pictures,
     mask_shapes,
 )
 
 CHECKPOINT_S = 20.0
+AHEAD = 3
+"""Steps whose pictures are decoded while others are learnt from."""
 EXAM_SEED = 2**31 - 1
+ONNX = "network.onnx"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +55,7 @@ class Lesson:
     """What is taught, and the exam afterwards."""
 
     capture: list[KnownPicture]
-    corpus: list[KnownPicture]
+    corpus: list[StoredPicture]
     cropper: Cropper
     exam: Batch
 
@@ -69,6 +80,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
 
     folder = outputs.folder("diffusion-prior")
     save_prior(folder / "weights.safetensors", state.average)
+    runtime = _runtime(config, folder, spec)
     _write_curve(folder / "training_curve.csv", state)
     generator = torch.Generator().manual_seed(EXAM_SEED)
     held_out_grid(folder / "samples/held_out.png", state.average, lesson.exam, config.sample_steps, generator)
@@ -77,6 +89,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         "diffusion-prior",
         DiffusionPrior(
             spec=spec,
+            **runtime,
             samples=("samples/held_out.png", "samples/own_holes.png"),
             steps=state.step,
             seed=ctx.seed,
@@ -93,12 +106,12 @@ def _lesson(
     spec: PriorSpec,
     training: list[KnownPicture],
     held_out: list[KnownPicture],
-    corpus: list[KnownPicture],
+    corpus: list[StoredPicture],
 ) -> Lesson:
     shapes = mask_shapes(training)
     if not shapes and config.masks.own == 1:
         raise ConfigurationError("masks.own is 1 but the capture's masks have no usable shape; set another mix")
-    cropper = Cropper(spec.size, config.crop_share, config.masks, shapes)
+    cropper = Cropper(spec.size, config.crop_share, config.masks, shapes, config.whole_share, config.enlarged)
     rng = np.random.default_rng(EXAM_SEED)
     exam = cropper.batch([held_out[i % len(held_out)] for i in range(config.exam)], rng)
     return Lesson(training, corpus, cropper, exam)
@@ -113,7 +126,9 @@ def _load(pretrained: Artifact[DiffusionPrior]) -> InpaintingPrior:
 
 def _begin(config: Config, spec: PriorSpec, start: InpaintingPrior | None, ctx: Context) -> TrainingState:
     bf16 = config.precision == "bf16" or (config.precision == "auto" and bf16_pays(ctx.device))
-    state = begin(spec, ctx.seed, start, bf16=bf16)
+    state = begin(spec, ctx.seed, start, bf16=bf16, channels_last=config.channels_last)
+    if config.compiled:
+        state.prior.network.compile()
     if (checkpoint := ctx.work / "checkpoint.safetensors").exists():
         load_checkpoint(checkpoint, state)
         ctx.log(f"going on from step {state.step}")
@@ -125,29 +140,37 @@ def _train(state: TrainingState, config: Config, lesson: Lesson, ctx: Context, *
     peak = config.fine_tuning_rate if fine_tuning else config.learning_rate
     every = max(1, config.steps // config.curve_rows)
     saved = ctx.elapsed()[0]
-    while state.step < config.steps:
-        rng, generator = step_generators(ctx.seed, state.step)
-        batch = lesson.cropper.batch(_drawn(lesson, config, rng), rng)
+    steps = MadeAhead(
+        lambda step: _parts(lesson, config, ctx.seed, step), range(state.step, config.steps), threads=1, ahead=AHEAD
+    )
+    for losses in steps:
         rate = warmed_up(peak, state.step, config.steps, config.warm_up)
-        loss = train_step(
-            state,
-            lambda prior, batch=batch, generator=generator: denoising_loss(prior, batch, generator, config.t_range),
-            learning_rate=rate,
-            ema=config.ema,
-        )
+        loss = train_step(state, *losses, learning_rate=rate, ema=config.ema)
         if not np.isfinite(loss):
             ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
         if state.step % every == 0 or state.step == config.steps:
             state.close_row(_held_out_loss(state, config, lesson.exam))
             step, mean, held_out = state.curve[-1]
-            ctx.record("training_curve", step=step, loss=mean, held_out_loss=held_out)
+            ctx.record(
+                "training_curve", step=step, loss=mean, held_out_loss=held_out, waited_s=round(steps.waited_s, 3)
+            )
         if ctx.stopping or ctx.elapsed()[0] - saved > CHECKPOINT_S:
             save_checkpoint(ctx.work / "checkpoint.safetensors", state)
             saved = ctx.elapsed()[0]
         ctx.progress(state.step, config.steps, "training the prior", loss=loss)
 
 
-def _drawn(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[KnownPicture]:
+def _parts(lesson: Lesson, config: Config, seed: int, step: int) -> list[Callable[[InpaintingPrior], Tensor]]:
+    """The losses of a step, one for each part of its batch; the pictures are decoded and cut when this is called."""
+    losses: list[Callable[[InpaintingPrior], Tensor]] = []
+    for part in range(config.parts):
+        rng, generator = step_generators(seed, step, part)
+        batch = lesson.cropper.batch(_drawn(lesson, config, rng), rng)
+        losses.append(partial(denoising_loss, batch=batch, generator=generator, t_range=config.t_range))
+    return losses
+
+
+def _drawn(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[Picture]:
     """Pictures of one step: the capture's, and the corpus's share where there is one."""
     from_corpus = rng.random(config.batch) < config.corpus_share
     return [
@@ -176,7 +199,23 @@ def _judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, flo
     return figures
 
 
-def _described(training: list[KnownPicture], corpus: list[KnownPicture]) -> str:
+def _runtime(config: Config, folder: Path, spec: PriorSpec) -> dict[str, Any]:
+    """What the artifact says of its runtimes; the network is exported where another than torch may be the one."""
+    if config.runtime == "torch":
+        return {}
+    path, prior = folder / ONNX, load_prior(folder / "weights.safetensors", spec)
+    try:
+        export_onnx(path, prior)
+        exported = load_onnx(path, spec)
+    except ValueError as error:
+        raise ConfigurationError(f"runtime is {config.runtime!r}: {error}; or set runtime to 'torch'") from error
+    if config.runtime == "onnxruntime":
+        return {"onnx": path.name, "runtime": "onnxruntime"}
+    seconds = {"torch": seconds_per_query(prior), "onnxruntime": seconds_per_query(exported)}
+    return {"onnx": path.name, "runtime": min(seconds, key=seconds.__getitem__), "query_seconds": seconds}
+
+
+def _described(training: list[KnownPicture], corpus: list[StoredPicture]) -> str:
     unknown = float(np.mean([p.unknown.mean() for p in training]))
     capture = (
         f"{len(training)} frames of the capture without the {unknown:.1%} of their pixels that are masked or missing"
