@@ -109,6 +109,31 @@ def test_spin_nerf(tmp_path):
         found_in(tmp_path, tmp_path)
 
 
+def test_realestate10k(tmp_path):
+    """A clip as its file has it, its frames of another size than the one they are brought to."""
+    root, rows = tmp_path / "raw", []
+    for i, camera in enumerate(SCENE.cameras):
+        shares = (camera.fx / 32, camera.fy / 24, camera.cx / 32, camera.cy / 24)
+        rows.append(" ".join(map(repr, [1000 * i, *map(float, [*shares, 0, 0, *camera.cam_from_world.ravel()])])))
+    pictures(root / "clip", [str(1000 * i) for i in range(4)])
+    (root / "clip.txt").write_text("\n".join(["https://video/x", *rows]))
+    assert detect(root) == "realestate10k"
+    found = found_in(root, tmp_path, realestate10k_frames=3, realestate10k_rows=18)
+    assert [f.name for f in found.frames] == ["0", "1000", "2000"]
+    assert "first 3 frames, 1 more" in found.notes[0]
+    for frame, camera in zip(found.frames, SCENE.cameras, strict=False):
+        assert read_header(frame.image).upright_size == (24, 18)
+        assert frame.camera.params == pytest.approx((camera.fx * 0.75, camera.fy * 0.75, 12, 9))
+        np.testing.assert_allclose(frame.camera.world_from_cam, camera.world_from_cam, atol=1e-9)
+    pictures(root / "other", ["0"], SCENE.images[:1])
+    (root / "other.txt").write_text("https://video/y\n" + rows[0])
+    with pytest.raises(BadInputError, match=r"2 clips with frames .*there are clip, other.*realestate10k_clip"):
+        found_in(root, tmp_path)
+    assert len(found_in(root, tmp_path, realestate10k_clip="clip").frames) == 4
+    with pytest.raises(BadInputError, match="no clip gone"):
+        found_in(root, tmp_path, realestate10k_clip="gone")
+
+
 def test_the_first_forty_files_of_spin_nerf_are_the_truth(tmp_path):
     names = [f"IMG_{i:03d}" for i in range(44)]
     pictures(tmp_path / "images_4", names, [SCENE.images[0]] * 44)

@@ -16,6 +16,30 @@ from inpaint3d.scene.colour import srgb_from_linear, to_bytes
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+# What OpenImageIO reads and photographers deliver.
+PICTURE_SUFFIXES = frozenset(
+    [
+        ".jpg",
+        ".jpeg",
+        ".png",
+        ".tif",
+        ".tiff",
+        ".exr",
+        ".hdr",
+        ".webp",
+        ".bmp",
+        ".heic",
+        ".heif",
+        ".avif",
+        ".jp2",
+        ".dng",
+        ".cr2",
+        ".nef",
+        ".arw",
+        ".ppm",
+    ]
+)
+
 # Time stamps and host names would make equal pictures differ.
 _UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
 

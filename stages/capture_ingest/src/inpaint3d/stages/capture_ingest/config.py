@@ -6,7 +6,7 @@ from pydantic import Field
 
 from inpaint3d.contracts.model import Closed
 
-Layout = Literal["photos", "video", "colmap", "nerfstudio", "llff", "spin-nerf"]
+Layout = Literal["photos", "video", "colmap", "nerfstudio", "llff", "spin-nerf", "realestate10k"]
 
 
 class Config(Closed):
@@ -20,4 +20,13 @@ class Config(Closed):
     )
     spin_nerf_truth: Annotated[int, Field(ge=0)] = Field(
         default=40, description="first files of the SPIn-NeRF layout, which show the scene without the object"
+    )
+    realestate10k_clip: str | None = Field(
+        default=None, description="the clip to take from a RealEstate10k folder; needed where it holds several"
+    )
+    realestate10k_frames: Annotated[int, Field(ge=2)] = Field(
+        default=80, description="consecutive frames that are taken of the clip, from its first (S1)"
+    )
+    realestate10k_rows: Annotated[int, Field(ge=16)] = Field(
+        default=360, description="rows that its frames are brought to (S1)"
     )

@@ -6,30 +6,7 @@ from pathlib import Path
 
 from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.errors import BadInputError
-
-# What OpenImageIO reads and photographers deliver; other files in a folder are left alone.
-PICTURES = frozenset(
-    [
-        ".jpg",
-        ".jpeg",
-        ".png",
-        ".tif",
-        ".tiff",
-        ".exr",
-        ".hdr",
-        ".webp",
-        ".bmp",
-        ".heic",
-        ".heif",
-        ".avif",
-        ".jp2",
-        ".dng",
-        ".cr2",
-        ".nef",
-        ".arw",
-        ".ppm",
-    ]
-)
+from inpaint3d.scene.image_io import PICTURE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -60,7 +37,9 @@ def numeric_order(path: Path) -> list[tuple[int, str]]:
 
 def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder in numeric order; BadInputError where two have one stem."""
-    files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in PICTURES] if folder.is_dir() else []
+    files = (
+        [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in PICTURE_SUFFIXES] if folder.is_dir() else []
+    )
     by_stem: dict[str, Path] = {}
     for path in sorted(files, key=numeric_order):
         if (other := by_stem.setdefault(path.stem, path)) is not path:

@@ -10,7 +10,7 @@ from inpaint3d.contracts.artifacts import Capture, CapturedFrame, Exif, Source, 
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.image_io import Header, read_header, read_image, read_mask, write_mask, write_png
-from inpaint3d.stages.capture_ingest import colmap, llff, nerfstudio, photos, spin_nerf, video
+from inpaint3d.stages.capture_ingest import colmap, llff, nerfstudio, photos, realestate10k, spin_nerf, video
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 
@@ -56,6 +56,9 @@ def find(raw: Path, config: Config, work: Path) -> Found:
         return video.find(_only_video(raw), config.video_frames, work)
     if layout == "spin-nerf":
         return spin_nerf.find(raw, config.spin_nerf_truth)
+    if layout == "realestate10k":
+        rows, count = config.realestate10k_rows, config.realestate10k_frames
+        return realestate10k.find(raw, config.realestate10k_clip, count, rows, work)
     return {"photos": photos, "colmap": colmap, "nerfstudio": nerfstudio, "llff": llff}[layout].find(raw)
 
 
@@ -69,6 +72,8 @@ def detect(raw: Path) -> str:
         return "llff"
     if colmap.model_folder(raw) is not None:
         return "colmap"
+    if realestate10k.is_layout(raw):
+        return "realestate10k"
     if any(p.suffix.lower() in video.SUFFIXES for p in _files(raw)):
         return "video"
     return "photos"
