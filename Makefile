@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check install schemas format bench-radiance clean
+.PHONY: demo test check install schemas format bench-radiance bench-prior bench-unet clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -51,6 +51,12 @@ $(PEER_ENV)/.installed: $(UV) benchmarks/radiance/peer/pyproject.toml benchmarks
 
 bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields against nerfstudio and the machine [FOX=FOLDER]
 	.venv/bin/python -m benchmarks.radiance $(if $(FOX),--fox $(FOX)) $(BENCH_OPTIONS)
+
+bench-prior: .venv/.installed ## a prior on held-out photos against classical fills PRIOR=FOLDER PHOTOS=FOLDER
+	.venv/bin/python -m benchmarks.prior $(PRIOR) $(PHOTOS) $(BENCH_OPTIONS)
+
+bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [PHOTOS=FOLDER]
+	.venv/bin/python -m benchmarks.unet $(if $(PHOTOS),--photos $(PHOTOS)) $(BENCH_OPTIONS)
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs

@@ -31,11 +31,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from benchmarks.provenance import REPOSITORY, commit
 from benchmarks.radiance import scene
 
 from inpaint3d.orchestrator.history import this_machine
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "radiance.json"
 DEMO = REPOSITORY / "examples" / "demo" / "capture"
 PEER = REPOSITORY / ".cache" / "radiance-peer" / "bin" / "python"
@@ -178,17 +178,6 @@ def headline(measured: Figures) -> Figures:
         figures["fox_psnr"] = {mark: statistics.mean(run["psnr"][mark] for run in fox) for mark in fox[0]["psnr"]}
         figures["fox_largest_drop_db"] = max(run["largest_drop_db"] for run in fox)
     return figures
-
-
-def commit() -> Figures:
-    """What was measured: the commit, and whether the code (results aside) differs from it."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=REPOSITORY, check=True, capture_output=True, text=True)
-        return done.stdout.strip()
-
-    changed = git("status", "--porcelain", "--", ".", ":!benchmarks/results")
-    return {"commit": git("rev-parse", "HEAD"), "modified": bool(changed)}
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ def hole_psnr(filled: Image, truth: Image, mask: Mask) -> Float[Tensor, "b"]:
 def telea_fill(image: Image, mask: Mask, radius: float = 3) -> Image:
     """OpenCV's fast-marching inpainting (Telea 2004), picture by picture, at 8 bits."""
     filled = [
-        cv2.inpaint(_to_bytes(picture), hole[0].byte().numpy(), radius, cv2.INPAINT_TELEA)
+        cv2.inpaint(to_bytes(picture), hole[0].byte().numpy(), radius, cv2.INPAINT_TELEA)
         for picture, hole in zip(image, mask, strict=True)
     ]
     return torch.from_numpy(np.stack(filled)).permute(0, 3, 1, 2).float() / 127.5 - 1
@@ -72,9 +72,10 @@ def grid(
     columns = [torch.where(mask > 0, 0.0, image), samples, *([] if expected is None else [expected]), image]
     rows = []
     for pictures in zip(*columns, strict=True):
-        rows.append(np.concatenate([np.pad(_to_bytes(p), ((1, 1), (1, 1), (0, 0))) for p in pictures], axis=1))
+        rows.append(np.concatenate([np.pad(to_bytes(p), ((1, 1), (1, 1), (0, 0))) for p in pictures], axis=1))
     return np.concatenate(rows, axis=0)
 
 
-def _to_bytes(picture: Float[Tensor, "3 h w"]) -> UInt8[np.ndarray, "rows columns 3"]:
+def to_bytes(picture: Float[Tensor, "3 h w"]) -> UInt8[np.ndarray, "rows columns 3"]:
+    """A picture in [-1, 1] at 8 bits."""
     return ((picture.permute(1, 2, 0).cpu() + 1) * 127.5).round().clamp(0, 255).byte().contiguous().numpy()

@@ -1,0 +1,230 @@
+"""A prior judged on its own, on photos that it was not trained on: `make bench-prior PRIOR=FOLDER PHOTOS=FOLDER`.
+
+    python -m benchmarks.prior PRIOR PHOTOS [--count N] [--steps N] [--out FILE] [--grids FOLDER]
+
+PRIOR holds weights.safetensors and card.json, as benchmarks/prior/train.py writes them, or is a diffusion-prior
+artifact; PHOTOS is what it was trained on, of which a hundred were held out by a hash of their names. Each photo's
+middle square, at the prior's size, is filled under three kinds of holes by
+
+    ours             a DDIM sample of the prior
+    mean             the mean colour of the known pixels
+    telea            OpenCV's fast marching (Telea 2004)
+    navier_stokes    OpenCV's Navier-Stokes (Bertalmio 2001)
+    patch            OpenCV's shift map: whole patches from elsewhere in the picture (He and Sun 2012), in Lab
+
+Written to `benchmarks/results/prior.json`: of each, LPIPS (VGG, mean over photos, lower is better), KID over stand-in
+features (EfficientNet-Lite0, hence kid_lite0, of all pictures against all truths, lower is better), PSNR in the hole
+(mean, dB). Holes and noise come from fixed seeds. Grids (hole, then the fills in this order, truth) show the photos,
+which are not the project's to publish: they go to a folder that is not committed.
+"""
+
+import argparse
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from benchmarks.prior.train import split
+from benchmarks.provenance import REPOSITORY, commit
+from torch import Tensor
+
+from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.diffusion.io import load_prior
+from inpaint3d.diffusion.judging import hole_psnr, telea_fill, to_bytes
+from inpaint3d.diffusion.masks import random_masks
+from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.samplers import inpaint
+from inpaint3d.orchestrator.history import this_machine
+from inpaint3d.scene.image_io import write_png
+from inpaint3d.stages.evaluation import lpips
+from inpaint3d.stages.evaluation.features import lite0_features
+from inpaint3d.stages.evaluation.frechet import kernel_distance
+
+RESULTS = REPOSITORY / "benchmarks" / "results" / "prior.json"
+SEED = 20
+BATCH = 10
+GRID_ROWS = 12
+
+Fill = Callable[[Tensor, Tensor], Tensor]
+
+
+def main() -> None:
+    options = arguments()
+    torch.set_num_threads(options.threads)
+    prior, described = open_prior(options.prior)
+    held_out = split(options.photos)[1][: options.count]
+    truth = torch.stack([middle_square(path, prior.spec.size) for path in held_out])
+    judge = Judge(truth)
+    masks: dict[str, Any] = {}
+    for kind, draw in HOLES.items():
+        rng = np.random.default_rng(SEED)
+        hole = torch.from_numpy(np.stack([draw(prior.spec.size, rng) for _ in truth])).float()[:, None]
+        filled = {name: fill(truth, hole) for name, fill in fills(prior, options.steps).items()}
+        masks[kind] = {name: judge.figures(pictures, hole) for name, pictures in filled.items()}
+        write_png(options.grids / f"{kind}.png", grid(truth, hole, filled))
+        print(kind, json.dumps(masks[kind], indent=1), flush=True)
+    report = {
+        "machine": this_machine().model_dump(),
+        **commit(),
+        "prior": described,
+        "photos": len(held_out),
+        "sampler": f"ddim, {options.steps} steps",
+        "lpips_network": "vgg",
+        "masks": masks,
+        "ours_is_best_at": {kind: best_at(rows) for kind, rows in masks.items()},
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("prior", type=Path)
+    parser.add_argument("photos", type=Path)
+    parser.add_argument("--count", type=int, default=100, help="judge on the first so many held-out photos alone")
+    parser.add_argument("--steps", type=int, default=8, help="DDIM steps of a sample")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--grids", type=Path, default=REPOSITORY / "runs" / "bench-prior")
+    options = parser.parse_args()
+    for path in (options.prior, options.photos):
+        if not path.is_dir():
+            parser.error(f"{path} is no folder; `make bench-prior PRIOR=FOLDER PHOTOS=FOLDER`")
+    if options.count < 2:
+        parser.error(f"--count {options.count}: KID needs at least 2 photos")
+    if options.count < 100 and options.out == RESULTS:
+        parser.error("figures of fewer photos are no results; give another file with --out")
+    return options
+
+
+def open_prior(folder: Path) -> tuple[InpaintingPrior, dict[str, Any]]:
+    """The prior of a folder, and what to call it: its weights by their digest, and how long it learnt."""
+    artifact = folder / "artifact.json"
+    card = json.loads(artifact.read_text())["metadata"] if artifact.exists() else json.loads(
+        (folder / "card.json").read_text()
+    )  # fmt: skip
+    weights = folder / card.get("weights", "weights.safetensors")
+    prior = load_prior(weights, PriorSpec.model_validate(card["spec"]))
+    described = {
+        "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "steps": card["steps"],
+        "size": prior.spec.size,
+        "parameters": sum(p.numel() for p in prior.parameters()),
+    }
+    return prior, described
+
+
+def middle_square(path: Path, size: int) -> Tensor:
+    """The largest square in the middle of a photo at the prior's size, [3, size, size] in [-1, 1]."""
+    photo = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+    side = min(photo.shape[:2])
+    y, x = ((extent - side) // 2 for extent in photo.shape[:2])
+    square = cv2.resize(photo[y : y + side, x : x + side], (size, size), interpolation=cv2.INTER_AREA)
+    return torch.from_numpy(square).permute(2, 0, 1).float() / 127.5 - 1
+
+
+def large(size: int, rng: np.random.Generator) -> np.ndarray:
+    """One box over a third to two thirds of the picture."""
+    height, width = (round(extent) for extent in np.sqrt(rng.uniform(1 / 3, 2 / 3)) * size * _aspect(rng))
+    y, x = (int(rng.integers(size - extent + 1)) for extent in (height, width))
+    mask = np.zeros((size, size), bool)
+    mask[y : y + height, x : x + width] = True
+    return mask
+
+
+def _aspect(rng: np.random.Generator) -> np.ndarray:
+    stretch = rng.uniform(0.85, 1.15)
+    return np.array([stretch, 1 / stretch])
+
+
+HOLES: Mapping[str, Callable[[int, np.random.Generator], np.ndarray]] = {
+    "rectangles": lambda size, rng: random_masks(1, size, rng, {"rectangles": 1.0})[0],
+    "strokes": lambda size, rng: random_masks(1, size, rng, {"strokes": 1.0})[0],
+    "large": large,
+}
+
+
+def fills(prior: InpaintingPrior, steps: int) -> dict[str, Fill]:
+    def ours(image: Tensor, hole: Tensor) -> Tensor:
+        generator = torch.Generator().manual_seed(SEED)
+        parts = zip(image.split(BATCH), hole.split(BATCH), strict=True)
+        return torch.cat([inpaint(prior, x, m, steps=steps, generator=generator) for x, m in parts])
+
+    return {
+        "ours": ours,
+        "mean": mean_fill,
+        "telea": telea_fill,
+        "navier_stokes": each(lambda picture, hole: cv2.inpaint(picture, hole, 3, cv2.INPAINT_NS)),
+        "patch": each(shift_map),
+    }
+
+
+def mean_fill(image: Tensor, hole: Tensor) -> Tensor:
+    known = 1 - hole
+    mean = (image * known).sum(dim=(2, 3), keepdim=True) / known.sum(dim=(2, 3), keepdim=True)
+    return torch.where(hole > 0, mean, image)
+
+
+def each(fill: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Fill:
+    """A fill of 8-bit pictures [h, w, 3] under holes [h, w], 1 inside, as one of batches; known pixels are kept."""
+
+    def whole(image: Tensor, hole: Tensor) -> Tensor:
+        filled = [fill(to_bytes(p), h[0].byte().numpy()) for p, h in zip(image, hole, strict=True)]
+        pictures = torch.from_numpy(np.stack(filled)).permute(0, 3, 1, 2).float() / 127.5 - 1
+        return torch.where(hole > 0, pictures, image)
+
+    return whole
+
+
+def shift_map(picture: np.ndarray, hole: np.ndarray) -> np.ndarray:
+    lab, filled = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab), np.zeros_like(picture)
+    # Its mask is that of the known pixels.
+    cv2.xphoto.inpaint(lab, (1 - hole) * 255, filled, cv2.xphoto.INPAINT_SHIFTMAP)
+    return cv2.cvtColor(filled, cv2.COLOR_Lab2RGB)
+
+
+class Judge:
+    """The truths, and what they look like to the networks that judge."""
+
+    def __init__(self, truth: Tensor) -> None:
+        self.truth, self.pictures = truth, unit(truth)
+        self.features = lite0_features(self.pictures)
+        self.network = lpips.load("vgg")
+
+    def figures(self, filled: Tensor, hole: Tensor) -> dict[str, float]:
+        pictures = unit(filled)
+        distances = [self.network.distance(a, b) for a, b in zip(pictures, self.pictures, strict=True)]
+        return {
+            "lpips": round(float(np.mean(distances)), 4),
+            "kid_lite0": round(kernel_distance(lite0_features(pictures), self.features), 5),
+            "psnr": round(float(hole_psnr(filled, self.truth, hole).mean()), 2),
+        }
+
+
+def unit(pictures: Tensor) -> list[np.ndarray]:
+    """[b, 3, h, w] in [-1, 1] as pictures [h, w, 3] in [0, 1]."""
+    return list(((pictures + 1) / 2).permute(0, 2, 3, 1).numpy())
+
+
+def best_at(rows: dict[str, dict[str, float]]) -> list[str]:
+    """The figures at which no other fill is as good as ours."""
+    others = [row for name, row in rows.items() if name != "ours"]
+    lower = [name for name in ("lpips", "kid_lite0") if all(rows["ours"][name] < row[name] for row in others)]
+    return lower + [name for name in ("psnr",) if all(rows["ours"][name] > row[name] for row in others)]
+
+
+def grid(truth: Tensor, hole: Tensor, filled: dict[str, Tensor]) -> np.ndarray:
+    columns = [torch.where(hole > 0, 0.0, truth), *filled.values(), truth]
+    rows = [
+        np.concatenate([np.pad(to_bytes(p[i]), ((1, 1), (1, 1), (0, 0))) for p in columns], axis=1)
+        for i in range(min(GRID_ROWS, len(truth)))
+    ]
+    return np.concatenate(rows, axis=0)
+
+
+if __name__ == "__main__":
+    main()
