@@ -254,8 +254,8 @@ def paper() -> Figures:
 def table(report: Figures) -> str:
     """What the stage's README says of these figures."""
     lines = [
-        f"{report['machine']['processor']}, one thread, CPU seconds of a step (`make bench-unet`). The ratio is ours over",
-        "diffusers' UNet2DModel of as many parameters behind the same packing of pixels:",
+        f"{report['machine']['processor']}, one thread, CPU seconds of a step (`make bench-unet`). The ratio is ours",
+        "over diffusers' UNet2DModel of as many parameters behind the same packing of pixels:",
     ]
     lines += ["", "| step | how | ours | UNet2DModel | packed | ratio to packed |", "|---|---|---|---|---|---|"]
     for part in ("training", "denoising"):

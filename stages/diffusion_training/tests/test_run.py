@@ -136,7 +136,7 @@ class _StopsAt(io.StringIO):
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(store, inputs, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(f"{MODULE}.run.CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(f"{MODULE}.teaching.CHECKPOINT_S", 0.0)
     monkeypatch.setattr("inpaint3d.contracts.context.PROGRESS_INTERVAL_S", 0.0)
     with pytest.raises(InterruptedRun):
         train(store, inputs, _StopsAt(4))
@@ -154,7 +154,7 @@ def test_killed_without_warning_it_goes_on_to_the_same_bytes(store, inputs, tmp_
     plan = TINY | {"steps": 60, "curve_rows": 20}
     (tmp_path / "invocation.json").write_text(Invocation(inputs=inputs, parameters=plan, threads=1).model_dump_json())
     script = (
-        f"import {MODULE}.run as run; run.CHECKPOINT_S = 0\n"
+        f"import {MODULE}.teaching as teaching; teaching.CHECKPOINT_S = 0\n"
         f"from inpaint3d.contracts.shim import serve; serve('{MODULE}')"
     )
     options = ["run", "--store", str(store.root), "--invocation", str(tmp_path / "invocation.json")]

@@ -7,6 +7,7 @@ averaged, and every crop carries the pixels that it touched so that they are nei
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -81,11 +82,13 @@ class StoredPicture:
 Picture = KnownPicture | StoredPicture
 
 
-def corpus_pictures(corpus: Artifact[ImageCorpus] | None) -> list[StoredPicture]:
-    """The training pictures of an image corpus; those of its test split are for judging alone."""
+def corpus_pictures(
+    corpus: Artifact[ImageCorpus] | None, split: Literal["train", "test"] = "train"
+) -> list[StoredPicture]:
+    """The pictures of a split of an image corpus; those of `test` are for judging alone."""
     if corpus is None:
         return []
-    return [StoredPicture(p.name, corpus.root / p.path) for p in corpus.metadata.pictures if p.split == "train"]
+    return [StoredPicture(p.name, corpus.root / p.path) for p in corpus.metadata.pictures if p.split == split]
 
 
 def _known(name: str, image: Image, hole: Mask, unknown: Mask) -> KnownPicture:

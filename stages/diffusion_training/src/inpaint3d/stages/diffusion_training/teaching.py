@@ -1,0 +1,147 @@
+"""The lesson, the training loop and the exam: the same for a capture's prior and for one of a corpus alone."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inpaint3d.contracts.artifacts import PriorSpec
+from inpaint3d.contracts.context import Context
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.diffusion.judging import compare_fills
+from inpaint3d.diffusion.parallel import own_parts, rank
+from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
+from inpaint3d.diffusion.training import (
+    Batch,
+    TrainingState,
+    begin,
+    denoising_loss,
+    load_checkpoint,
+    save_checkpoint,
+    step_generators,
+    train_step,
+    warmed_up,
+)
+from inpaint3d.scene.image_io import Mask
+from inpaint3d.stages.diffusion_training.ahead import MadeAhead
+from inpaint3d.stages.diffusion_training.config import Config
+from inpaint3d.stages.diffusion_training.pictures import Cropper, Picture
+
+CHECKPOINT_S = 20.0
+AHEAD = 3
+"""Steps whose pictures are decoded while others are learnt from."""
+EXAM_SEED = 2**31 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What is taught, and the exam afterwards."""
+
+    capture: Sequence[Picture]
+    corpus: Sequence[Picture]
+    cropper: Cropper
+    exam: Batch
+
+
+def lesson_of(
+    config: Config,
+    spec: PriorSpec,
+    training: Sequence[Picture],
+    held_out: Sequence[Picture],
+    corpus: Sequence[Picture] = (),
+    shapes: Sequence[Mask] = (),
+) -> Lesson:
+    """shapes: the capture's own masks. Raises ConfigurationError where there are none and no other hole is wanted."""
+    if not shapes and config.masks.own == 1:
+        raise ConfigurationError("masks.own is 1 but there are no masks with a usable shape; set another mix")
+    cropper = Cropper(spec.size, config.crop_share, config.masks, shapes, config.whole_share, config.enlarged)
+    rng = np.random.default_rng(EXAM_SEED)
+    exam = cropper.batch([held_out[i % len(held_out)] for i in range(config.exam)], rng)
+    return Lesson(training, corpus, cropper, exam)
+
+
+def begin_or_resume(
+    config: Config, spec: PriorSpec, start: InpaintingPrior | None, ctx: Context, checkpoint: Path
+) -> TrainingState:
+    """The state that training starts with, or the one that it was stopped in."""
+    bf16 = config.precision == "bf16" or (config.precision == "auto" and bf16_pays(ctx.device))
+    state = begin(spec, ctx.seed, start, bf16=bf16, channels_last=config.channels_last)
+    if config.compiled:
+        state.prior.network.compile()
+    if checkpoint.exists():
+        load_checkpoint(checkpoint, state)
+        ctx.log(f"going on from step {state.step}")
+    return state
+
+
+def train(
+    state: TrainingState, config: Config, lesson: Lesson, ctx: Context, checkpoint: Path, *, fine_tuning: bool
+) -> None:
+    """The loop: crops with holes, one step, a row of the curve now and then, a checkpoint at least every minute.
+
+    Of several ranks each does this; the first one writes the checkpoint.
+    """
+    peak = config.fine_tuning_rate if fine_tuning else config.learning_rate
+    every = max(1, config.steps // config.curve_rows)
+    saved = ctx.elapsed()[0]
+    steps = MadeAhead(
+        lambda step: _parts(lesson, config, ctx.seed, step), range(state.step, config.steps), threads=1, ahead=AHEAD
+    )
+    for losses in steps:
+        rate = warmed_up(peak, state.step, config.steps, config.warm_up)
+        loss = train_step(state, *losses, learning_rate=rate, ema=config.ema)
+        if not np.isfinite(loss):
+            ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
+        if state.step % every == 0 or state.step == config.steps:
+            state.close_row(_held_out_loss(state, config, lesson.exam))
+            step, mean, held_out = state.curve[-1]
+            ctx.record(
+                "training_curve", step=step, loss=mean, held_out_loss=held_out, waited_s=round(steps.waited_s, 3)
+            )
+        if rank() == 0 and (ctx.stopping or ctx.elapsed()[0] - saved > CHECKPOINT_S):
+            save_checkpoint(checkpoint, state)
+            saved = ctx.elapsed()[0]
+        ctx.progress(state.step, config.steps, "training the prior", loss=loss)
+
+
+def _parts(lesson: Lesson, config: Config, seed: int, step: int) -> list[Callable[[InpaintingPrior], Tensor]]:
+    """The losses of a step, one for each part of its batch that is this rank's. Pictures are decoded and cut here."""
+    losses: list[Callable[[InpaintingPrior], Tensor]] = []
+    for part in own_parts(config.parts):
+        rng, generator = step_generators(seed, step, part)
+        batch = lesson.cropper.batch(_drawn(lesson, config, rng), rng)
+        losses.append(partial(denoising_loss, batch=batch, generator=generator, t_range=config.t_range))
+    return losses
+
+
+def _drawn(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[Picture]:
+    """Pictures of one step: the capture's, and the corpus's share where there is one."""
+    from_corpus = rng.random(config.batch) < config.corpus_share
+    return [
+        pool[int(rng.integers(len(pool)))]
+        for pool in (lesson.corpus if corpus and lesson.corpus else lesson.capture for corpus in from_corpus)
+    ]
+
+
+def _held_out_loss(state: TrainingState, config: Config, exam: Batch) -> float:
+    """The loss of the averaged weights on the exam, with the same noise every time."""
+    generator = torch.Generator().manual_seed(EXAM_SEED)
+    with torch.no_grad():
+        return float(denoising_loss(state.average, exam, generator, config.t_range))
+
+
+def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, float]:
+    """Hole PSNR (dB) on held-out crops where the truth is known, beside two classical fills."""
+    generator = torch.Generator().manual_seed(EXAM_SEED)
+    region = exam.hole * exam.teach
+    taught = region.sum(dim=(1, 2, 3)) > 0
+    if not taught.any():
+        return {}
+    figures, _ = compare_fills(
+        prior, exam.image[taught], exam.hole[taught], generator, region=region[taught], steps=config.sample_steps
+    )
+    return figures

@@ -1,0 +1,72 @@
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from inpaint3d.contracts.artifacts import DiffusionPrior
+from inpaint3d.contracts.documents import load_yaml
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.manifest import MANIFEST, Manifest
+from inpaint3d.contracts.store import Store
+from inpaint3d.diffusion import parallel
+from inpaint3d.diffusion.io import open_prior
+from inpaint3d.scene.image_io import write_png
+from inpaint3d.stages.diffusion_training.config import Config
+from inpaint3d.stages.diffusion_training.corpus import write_corpus
+from inpaint3d.stages.diffusion_training.pretrain import pretrain
+
+TINY = load_yaml(Path(__file__).parent / "tiny.yaml")[0] | {"parts": 2, "steps": 4, "curve_rows": 2}
+
+
+@pytest.fixture
+def corpus(tmp_path: Path) -> Path:
+    noise = np.random.default_rng(0)
+    for i in range(8):
+        write_png(tmp_path / "pictures" / f"{i}.png", noise.integers(0, 256, (20, 24, 3), np.uint8))
+    write_corpus(tmp_path / "pictures", tmp_path / "corpus", held_out=0.4)
+    return tmp_path / "corpus"
+
+
+def curve(folder: Path) -> list[list[float]]:
+    rows = list(csv.reader((folder / "prior" / "training_curve.csv").read_text().splitlines()))
+    return [[float(value) for value in row] for row in rows[1:]]
+
+
+@pytest.mark.slow
+def test_torchrun_learns_what_one_process_does(corpus: Path, tmp_path: Path) -> None:
+    pretrain(corpus, tmp_path / "one", Config.model_validate(TINY), seed=0)
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(TINY))
+    torchrun = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    module = ["-m", "inpaint3d.stages.diffusion_training.pretrain", str(corpus), str(tmp_path / "two")]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": "lo"}
+    command = [*torchrun, *module, "--config", str(tmp_path / "config.yaml")]
+    subprocess.run(command, check=True, timeout=180, env=environment, stdout=subprocess.DEVNULL)
+    # Sums in another order, four steps long; the table has six digits.
+    np.testing.assert_allclose(curve(tmp_path / "two"), curve(tmp_path / "one"), rtol=1e-4)
+
+
+def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path) -> None:
+    pretrain(corpus, tmp_path / "out", Config.model_validate(TINY), seed=0)
+    folder, store = tmp_path / "out" / "prior", Store(tmp_path / "store")
+    digest = store.adopt(folder, Manifest.model_validate_json((folder / MANIFEST).read_bytes()))
+    prior = store.open(digest, DiffusionPrior)
+    assert prior.metadata.steps == 4
+    assert "hole_psnr_sample" in prior.metadata.held_out
+    assert open_prior(prior).size == 16
+
+
+def test_what_cannot_be_learnt_from_is_named(corpus: Path, tmp_path: Path, monkeypatch) -> None:
+    config = Config.model_validate(TINY)
+    with pytest.raises(BadInputError, match="nowhere is no image-corpus artifact"):
+        pretrain(tmp_path / "nowhere", tmp_path / "out", config, seed=0)
+    write_corpus(tmp_path / "pictures", tmp_path / "all", held_out=0.0)
+    with pytest.raises(BadInputError, match="8 pictures to learn from and 0 held out"):
+        pretrain(tmp_path / "all", tmp_path / "out", config, seed=0)
+    monkeypatch.setattr(parallel, "ranks", lambda: 3)
+    with pytest.raises(ConfigurationError, match="2 parts of a batch cannot be shared equally by 3 ranks"):
+        pretrain(corpus, tmp_path / "out", config, seed=0)
