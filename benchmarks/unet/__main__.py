@@ -61,7 +61,6 @@ class Peer(nn.Module):
     def __init__(self, spec: PriorSpec, width: int, packing: int) -> None:
         super().__init__()
         self.packing = packing
-        levels = len(spec.multipliers)
         down = [("Attn" if attention else "") + "DownBlock2D" for attention in spec.attention]
         self.network = UNet2DModel(
             sample_size=spec.size // packing,
@@ -72,8 +71,11 @@ class Peer(nn.Module):
             down_block_types=tuple(down),
             up_block_types=tuple(reversed([name.replace("Down", "Up") for name in down])),
             norm_num_groups=8,
-            attention_head_dim=32 if levels else None,
+            attention_head_dim=32,
         )
+        # Like ours, it starts as zero: as a prior, from the linear guess.
+        nn.init.zeros_(self.network.conv_out.weight)
+        nn.init.zeros_(self.network.conv_out.bias)
 
     def forward(self, x: Tensor, log_snr: Tensor) -> Tensor:
         x = nn.functional.pixel_unshuffle(x, self.packing)

@@ -151,7 +151,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(store, inputs, tmp_pat
 
 
 def test_killed_without_warning_it_goes_on_to_the_same_bytes(store, inputs, tmp_path) -> None:
-    plan = TINY | {"steps": 60, "curve_rows": 20}
+    plan = TINY | {"steps": 30, "curve_rows": 10}
     (tmp_path / "invocation.json").write_text(Invocation(inputs=inputs, parameters=plan, threads=1).model_dump_json())
     script = (
         f"import {MODULE}.teaching as teaching; teaching.CHECKPOINT_S = 0\n"
