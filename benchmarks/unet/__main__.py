@@ -306,14 +306,19 @@ def main() -> None:
         for part, figures in steps(SMALL, kind, options.repeats).items():
             report.setdefault(part, {})[kind] = figures
             print(part, kind, json.dumps(figures), flush=True)
+        write(report, options.out)
     if options.kinds:
         report["parameters"] = {name: count(network) for name, network in contenders(SMALL).items()}
         report["decoding"] = decoding(SMALL)
     if options.learn:
         report["learning"] = learning(SMALL, options.photos, options.learn)
-    options.out.parent.mkdir(exist_ok=True)
-    options.out.write_text(json.dumps(report, indent=1) + "\n")
-    if options.out == RESULTS:
+    write(report, options.out)
+
+
+def write(report: Figures, out: Path) -> None:
+    out.parent.mkdir(exist_ok=True)
+    out.write_text(json.dumps(report, indent=1) + "\n")
+    if out == RESULTS:
         text = README.read_text()
         before, _, rest = text.partition("<!-- unet -->")
         _, _, after = rest.partition("<!-- /unet -->")

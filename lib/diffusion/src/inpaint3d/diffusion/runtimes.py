@@ -30,7 +30,7 @@ def export_onnx(path: Path, prior: InpaintingPrior) -> None:
             path,
             input_names=["shown", "log_snr"],
             output_names=["output"],
-            dynamic_shapes=({0: torch.export.Dim("batch")}, {0: torch.export.Dim.AUTO}),
+            dynamic_shapes=({0: torch.export.Dim.AUTO}, {0: torch.export.Dim.AUTO}),
             opset_version=OPSET,
             external_data=False,
             dynamo=True,
