@@ -2,9 +2,20 @@
 
 All functions return gradients with respect to the patch x in [-1, 1]; a caller multiplies by dx/dtheta by handing them
 to autograd: `patch.backward(gradient)`. Nothing flows through the prior or through its condition, on purpose.
+
+| function | paper | UNet evaluations, g = 1 | else |
+|---|---|---|---|
+| sds_gradient | DreamFusion, arXiv:2209.14988 | 1 | 2 |
+| nfsd_gradient | noise-free score distillation, arXiv:2310.17590 | 2 | 3 |
+| sdi_gradient | DDIM inversion, arXiv:2405.15891 | steps + 1 | steps + 2 |
+| ism_gradient | interval score matching, arXiv:2311.11284 | steps + 2 | steps + 3 |
+| vsd_gradient | variational score distillation, arXiv:2305.16213 | 2 + learning | 3 + learning |
+| denoised_target_gradient | SparseFusion, arXiv:2212.00792 | steps | 2 steps |
+| dataset_gradient | iterative dataset update, arXiv:2303.12789 | 0, and `denoised_target` for each update | |
 """
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -14,6 +25,9 @@ from inpaint3d.diffusion.schedules import alpha, per_image, sigma
 
 T_FLOOR = 0.02
 """t never falls below this: nearer 0 the noise is under one code value of a photo and the gradient means nothing."""
+
+NFSD_SPLIT = 0.2
+"""Under this t the null estimate points to pictures by itself (NFSD, section 4.1: t < 200 of 1000)."""
 
 
 @torch.no_grad()
@@ -40,6 +54,113 @@ def sds_gradient(
 
 
 @torch.no_grad()
+def nfsd_gradient(
+    prior: InpaintingPrior,
+    x: Image,
+    mask: Mask,
+    t: Times,
+    eps: Image,
+    *,
+    guidance: float = 1.0,
+    noise_fill: Image | None = None,
+) -> Image:
+    """w(t) (delta_D + g (eps_cond - eps_null)) M (NFSD, arXiv:2310.17590, eq. 9): the noise itself is not in it.
+
+    delta_D, the way to plausible pictures, is eps_null at t < 0.2 and eps_null - eps_negative above, where both hold
+    the same noise. A prior without text has no negative prompt: the negative condition is the patch with its known
+    pixels smoothed, so that what it leads away from is blur.
+    """
+    x = x.detach()
+    a, s = _levels(t)
+    z = a * x + s * eps
+    estimate = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
+    negative = prior.predict_noise(z, t, _smoothed(x, mask), mask, noise_fill=noise_fill)
+    return s**2 * torch.where(per_image(t) < NFSD_SPLIT, estimate, estimate - negative) * mask
+
+
+@torch.no_grad()
+def sdi_gradient(
+    prior: InpaintingPrior,
+    x: Image,
+    mask: Mask,
+    t: Times,
+    *,
+    guidance: float = 1.0,
+    noise_fill: Image | None = None,
+    steps: int = 4,
+) -> Image:
+    """w(t) (eps_hat(z_t; t, y) - kappa) M, kappa the noise that DDIM inversion finds for x (SDI, arXiv:2405.15891).
+
+    Fresh noise asks each step for another picture, and the hole becomes their mean; inverted noise asks for the one
+    that x is on the way to. The inversion follows the plain conditional estimate.
+    """
+    x = x.detach()
+    a, s = _levels(t)
+
+    def predict(z: Tensor, level: Tensor) -> Tensor:
+        return prior.predict_noise(z, level, x, mask, noise_fill=noise_fill)
+
+    z = ddim(predict, x, _between(torch.full_like(t, T_FLOOR), t, steps))
+    eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
+    return s**2 * (eps_hat - (z - a * x) / s) * mask
+
+
+@torch.no_grad()
+def ism_gradient(
+    prior: InpaintingPrior,
+    x: Image,
+    mask: Mask,
+    t: Times,
+    *,
+    guidance: float = 1.0,
+    noise_fill: Image | None = None,
+    steps: int = 4,
+    interval: float = 0.05,
+) -> Image:
+    """w(t) (eps_hat(z_t; t, y) - eps_null(z_s; s)) M with s = t - interval (ISM, arXiv:2311.11284, eq. 17).
+
+    z_s and z_t lie on one path of DDIM inversion under the null condition, in `steps` steps to s and one to t.
+    """
+    x = x.detach()
+    _, weight = _levels(t)
+    before = (t - interval).clamp(min=T_FLOOR)
+
+    def null(z: Tensor, level: Tensor) -> Tensor:
+        return prior.predict_noise(z, level, x, mask, guidance=0.0, noise_fill=noise_fill)
+
+    z_s = ddim(null, x, _between(torch.full_like(t, T_FLOOR), before, steps))
+    eps_s = null(z_s, before)
+    (a_s, s_s), (a, s) = _levels(before), _levels(t)
+    z_t = a * (z_s - s_s * eps_s) / a_s + s * eps_s
+    eps_hat = prior.predict_noise(z_t, t, x, mask, guidance=guidance, noise_fill=noise_fill)
+    return weight**2 * (eps_hat - eps_s) * mask
+
+
+@torch.no_grad()
+def vsd_gradient(
+    prior: InpaintingPrior,
+    copy: InpaintingPrior,
+    x: Image,
+    mask: Mask,
+    t: Times,
+    eps: Image,
+    *,
+    guidance: float = 1.0,
+    noise_fill: Image | None = None,
+) -> Image:
+    """w(t) (eps_hat - eps_copy) M, where the copy has learnt the renders (VSD, arXiv:2305.16213, eq. 9).
+
+    copy: see `low_rank.LowRankCopy`; unlike the paper's it is not told the camera. Once it knows one picture by heart
+    this is SDS; as long as it is the prior itself, guidance 1 gives 0.
+    """
+    x = x.detach()
+    a, s = _levels(t)
+    z = a * x + s * eps
+    eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
+    return s**2 * (eps_hat - copy.predict_noise(z, t, x, mask, noise_fill=noise_fill)) * mask
+
+
+@torch.no_grad()
 def denoised_target_gradient(
     prior: InpaintingPrior,
     x: Image,
@@ -58,9 +179,17 @@ def denoised_target_gradient(
     alpha(t) sigma(t) (x - x_hat = (eps_hat - eps) sigma / alpha); more steps make x_hat one sharp picture instead of
     the mean of many, and a gradient whose size does not depend on t.
     """
-    return (
-        x.detach() - denoised_target(prior, x, mask, t, eps, guidance=guidance, noise_fill=noise_fill, steps=steps)
-    ) * mask
+    target = denoised_target(prior, x, mask, t, eps, guidance=guidance, noise_fill=noise_fill, steps=steps)
+    return dataset_gradient(x, mask, target)
+
+
+def dataset_gradient(x: Image, mask: Mask, target: Image) -> Image:
+    """(x - target) M, that of half the squared distance to a picture that stays until it is updated.
+
+    Iterative dataset update (Instruct-NeRF2NeRF, arXiv:2303.12789, section 4.2): the target is the `denoised_target`
+    of an earlier render of the same view.
+    """
+    return (x.detach() - target) * mask
 
 
 @torch.no_grad()
@@ -82,23 +211,22 @@ def denoised_target(
     def predict(z: Tensor, level: Tensor) -> Tensor:
         return prior.predict_noise(z, level, x, mask, guidance=guidance, noise_fill=noise_fill)
 
-    # Each image starts from its own t, so that times are [steps + 1, b].
-    times = torch.linspace(1, 0, steps + 1).to(t)[:, None] * t
-    target = ddim(predict, a * x + s * eps, times, clip=1.0)
+    target = ddim(predict, a * x + s * eps, _between(t, torch.zeros_like(t), steps), clip=1.0)
     return torch.where(mask > 0, target.clamp(-1, 1), x)
-
-
-def t_range(step: int, total: int) -> tuple[float, float]:
-    """(lowest, highest) t of a step (S9): U(eta - 0.2, eta) with eta = max(0.2, 0.95 (1 - step / total))."""
-    eta = max(0.2, 0.95 * (1 - step / total))
-    return max(T_FLOOR, eta - 0.2), eta
-
-
-def sample_t(step: int, total: int, count: int, generator: torch.Generator) -> Float[Tensor, "b"]:
-    """Fresh noise levels, one per view (S3, S9)."""
-    low, high = t_range(step, total)
-    return low + (high - low) * torch.rand(count, generator=generator)
 
 
 def _levels(t: Times) -> tuple[Tensor, Tensor]:
     return per_image(alpha(t)), per_image(sigma(t))
+
+
+def _between(first: Times, last: Times, steps: int) -> Float[Tensor, "n b"]:
+    """Times of `steps` equal steps, from each image's own first to its own last, [steps + 1, b]."""
+    share = torch.linspace(0, 1, steps + 1).to(first)[:, None]
+    return first + share * (last - first)
+
+
+def _smoothed(x: Image, mask: Mask, side: int = 5) -> Image:
+    """Means over squares of `side` pixels, of known pixels alone; 0 where there are none."""
+    known = 1 - mask
+    total, count = (F.avg_pool2d(part, side, 1, side // 2) for part in (x * known, known))
+    return total / count.clamp(min=torch.finfo(x.dtype).eps)

@@ -48,7 +48,11 @@ def ddpm(
 def ddim(
     predict: Predict, z: Float[Tensor, "b c h w"], times: Float[Tensor, "n *b"], *, clip: float | None = None
 ) -> Float[Tensor, "b c h w"]:
-    """Deterministic sampling (DDIM, arXiv:2010.02502, eq. 12 with sigma = 0)."""
+    """Deterministic sampling (DDIM, arXiv:2010.02502, eq. 12 with sigma = 0).
+
+    With times that rise it goes the other way: inversion, from a picture to the noise that it would be sampled from
+    (section 4.3).
+    """
     for t, s in _pairs(times, z):
         a_t, s_t, a_s, s_s = _levels(t, s)
         clean = _clean(predict(z, t), z, a_t, s_t, clip)
