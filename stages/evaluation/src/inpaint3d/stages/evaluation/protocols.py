@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from inpaint3d.contracts.artifacts import Metric, Protocol
+from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import Image
-from inpaint3d.stages.evaluation import lpips
 from inpaint3d.stages.evaluation.baselines import (
     interpolated_depth,
     mean_colour,

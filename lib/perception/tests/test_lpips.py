@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import read_image
-from inpaint3d.stages.evaluation import lpips
 
 REFERENCE = "INPAINT3D_LPIPS_REFERENCE"
 

@@ -49,32 +49,44 @@ class Lpips:
     layers: tuple[Convolution, ...]
     heads: tuple[Tensor, ...]
 
-    def features(self, images: Tensor) -> list[Tensor]:
-        """Five feature maps of images [n, 3, h, w] in [-1, 1], each of unit length along the channels."""
-        shift, scale = (torch.tensor(v).view(1, 3, 1, 1) for v in (_SHIFT, _SCALE))
+    def taps(self, images: Tensor, count: int = 5) -> list[Tensor]:
+        """The first `count` of five feature maps of images [n, 3, h, w] in [-1, 1], after their ReLU."""
+        shift, scale = (torch.tensor(v).view(1, 3, 1, 1).to(images) for v in (_SHIFT, _SCALE))
         x = (images - shift) / scale
         taps: list[Tensor] = []
         for layer in self.layers:
             if layer.pool:
                 x = F.max_pool2d(x, layer.pool, stride=2)
-            x = F.relu(F.conv2d(x, layer.weight, layer.bias, stride=layer.stride, padding=layer.padding))
+            x = F.relu(F.conv2d(x, layer.weight.to(x), layer.bias.to(x), stride=layer.stride, padding=layer.padding))
             if layer.tap:
-                # upstream adds 1e-10 to the length, so that an all-zero feature stays zero
-                taps.append(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10))
+                taps.append(x)
+            if len(taps) == count:
+                break
         return taps
+
+    def features(self, images: Tensor) -> list[Tensor]:
+        """All five, each of unit length along the channels."""
+        # upstream adds 1e-10 to the length, so that an all-zero feature stays zero; sqrt there has no gradient
+        return [x / (safe_length(x) + 1e-10) for x in self.taps(images)]
+
+    def difference(self, a: Tensor, b: Tensor) -> Tensor:
+        """LPIPS of each pair of images [n, 3, h, w] in [-1, 1], [n]; differentiable."""
+        pairs = zip(self.heads, self.features(a), self.features(b), strict=True)
+        return torch.stack([((u - v).square() * head.to(u)).sum(1).mean((1, 2)) for head, u, v in pairs]).sum(0)
 
     @torch.no_grad()
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
-        Pictures with a side under 64 px are both enlarged (bilinear) by the smallest whole factor that
-        reaches it.
+        Small pictures are both `enlarged`.
         """
-        a, b = (_batch(picture) for picture in (image, truth))
-        total = torch.zeros(())
-        for head, u, v in zip(self.heads, self.features(a), self.features(b), strict=True):
-            total = total + ((u - v).square() * head).sum(1).mean()
-        return float(total)
+        return float(self.difference(*(_batch(picture) for picture in (image, truth))))
+
+
+def safe_length(features: Tensor) -> Tensor:
+    """Length along the channels [n, c, h, w] -> [n, 1, h, w], with gradient 0 where all are 0."""
+    squared = features.square().sum(1, keepdim=True)
+    return torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
 
 
 @cache
@@ -129,6 +141,10 @@ def _oihw(kernel: NDArray[np.float32]) -> Tensor:
 
 
 def _batch(picture: NDArray[np.float32]) -> Tensor:
-    x = torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None] * 2.0 - 1.0
-    factor = -(-SMALLEST_SIDE // min(x.shape[2:]))
-    return F.interpolate(x, scale_factor=factor, mode="bilinear") if factor > 1 else x
+    return enlarged(torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None] * 2.0 - 1.0)
+
+
+def enlarged(images: Tensor) -> Tensor:
+    """Images [n, 3, h, w], bilinearly by the smallest whole factor that makes every side at least 64 px."""
+    factor = -(-SMALLEST_SIDE // min(images.shape[2:]))
+    return F.interpolate(images, scale_factor=factor, mode="bilinear") if factor > 1 else images

@@ -1,0 +1,1 @@
+"""What a pretrained network sees in pictures: LPIPS, and matching of its features."""
