@@ -6,6 +6,7 @@ from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField, Samples
 from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.radiance.rendering import damped, render, render_view
+from inpaint3d.radiance.volume import alpha_weights
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.geometry import ray_sphere
 
@@ -68,6 +69,28 @@ def test_a_ball_is_seen_where_it_is() -> None:
     assert (seen["opacity"][~hit] == 0).all()
     np.testing.assert_allclose(seen["depth"][~hit], SPEC.far * (directions @ CAMERA.forward)[~hit], rtol=1e-5)
     np.testing.assert_allclose(seen["rgb"][~hit], 0.5)
+
+
+def test_proposal_rounds_ask_one_network_and_the_last_round_another(noise: RadianceField) -> None:
+    """N2: both rounds' weights are one network's at their own intervals; the field's own come from another."""
+    rays = camera_rays(CAMERA).flatten()[:50]
+    seen = render(noise, rays, generator=torch.Generator().manual_seed(0))
+    assert [weights.shape[1] for _, weights in seen.proposals] == [64, 64]
+    asked = [*seen.proposals, (seen.sdist, seen.weights)]
+    densities = (noise.proposal_density, noise.proposal_density, noise.density)
+    for (sdist, weights), density in zip(asked, densities, strict=True):
+        tdist = noise.spacing.metric_from_normalised(sdist)
+        middle = (tdist[:, 1:] + tdist[:, :-1]) / 2
+        points = rays.origins[:, None] + rays.directions[:, None] * middle[..., None]
+        by_hand = alpha_weights(density(points.reshape(-1, 3)).reshape(middle.shape), tdist)
+        # random weights make densities of e^10: a rounding of the point shows
+        torch.testing.assert_close(weights, by_hand, rtol=1e-3, atol=1e-4)
+
+
+def test_a_ray_has_no_width(noise: RadianceField) -> None:
+    """N1, no cone tracing: with three times the pixels, every third ray and its colour are the same."""
+    fine = render(noise, camera_rays(CAMERA.scaled(3 * CAMERA.width, 3 * CAMERA.height)))
+    torch.testing.assert_close(fine.rgb[1::3, 1::3], render(noise, camera_rays(CAMERA)).rgb, rtol=1e-3, atol=1e-3)
 
 
 def test_weights_sum_to_at_most_one_and_make_the_opacity(noise: RadianceField) -> None:
