@@ -12,10 +12,11 @@ from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import render
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
-from inpaint3d.stages.joint_optimization.guidance import Guide
+from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 from inpaint3d.stages.joint_optimization.patches import Window
 from inpaint3d.stages.joint_optimization.scene import SceneView
 
+WINDOW = Window(0, 8.0, 2.0, 2.0, 16)
 SPEC = FieldSpec(
     grid=GridSpec(levels=3, coarsest=4, finest=32, log2_table=10, channels=2),
     proposal_grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=10, channels=1),
@@ -48,9 +49,9 @@ def prior(prior_spec: PriorSpec) -> InpaintingPrior:
     return prior
 
 
-@pytest.fixture(params=["sds", "denoised-target"])
-def guide(request: pytest.FixtureRequest, prior: InpaintingPrior) -> Guide:
-    return Guide(prior, request.param, guidance=2.0, denoise_steps=2)
+@pytest.fixture(params=["sds", "nfsd", "sdi", "ism", "denoised-target"])
+def guide(request: pytest.FixtureRequest, prior: InpaintingPrior) -> PriorGuide:
+    return PriorGuide(prior, request.param, guidance=2.0, steps=2)
 
 
 @pytest.fixture
@@ -59,9 +60,9 @@ def view(room: SyntheticScene) -> SceneView:
     return SceneView("a", room.cameras[0], np.where(hole[..., None], 0, room.images[0]), hole, ~hole)
 
 
-def distilled(field: RadianceField, guide: Guide, view: SceneView, **changes: object) -> Distilled:
+def distilled(field: RadianceField, guide: PriorGuide, view: SceneView, **changes: object) -> Distilled:
     settings = {"timesteps": (0.3, 0.5), "specular_scale": 1.0, "block": 4096, "generator": generator()} | changes
-    return distil(field, guide, view, Window(0, 8.0, 2.0, 2.0, 16), **settings)  # pyright: ignore[reportArgumentType]
+    return distil(field, guide, view, WINDOW, **settings)  # pyright: ignore[reportArgumentType]
 
 
 def gradients(field: RadianceField, of: torch.Tensor) -> list[torch.Tensor]:
@@ -69,11 +70,11 @@ def gradients(field: RadianceField, of: torch.Tensor) -> list[torch.Tensor]:
     return [torch.zeros(()) if g is None else g for g in got]
 
 
-def test_gradient_is_zero_outside_the_hole(guide: Guide) -> None:
+def test_gradient_is_zero_outside_the_hole(guide: PriorGuide) -> None:
     """S4: the prior moves the hole alone."""
     patch, hole = torch.rand(16, 16, 3, generator=generator()), torch.zeros(16, 16, dtype=torch.bool)
     hole[5:9, 4:12] = True
-    gradient, t = guide.gradient(patch, hole, (0.3, 0.5), generator())
+    gradient, t = guide.gradient(patch, hole, WINDOW, (0.3, 0.5), generator())
     assert 0.3 <= t <= 0.5
     assert (gradient[~hole] == 0).all()
     assert (gradient[hole] != 0).all()
@@ -83,7 +84,7 @@ def test_gradient_is_that_of_a_mean_over_pixels_of_a_picture_in_signed_range(pri
     """L8: x = 2 rgb - 1, divided by the number of patch pixels."""
     patch, hole = torch.rand(16, 16, 3, generator=generator()), torch.zeros(16, 16, dtype=torch.bool)
     hole[5:9, 4:12] = True
-    gradient, t = Guide(prior, "sds", 3.0, 1).gradient(patch, hole, (0.4, 0.4), generator(5))
+    gradient, t = PriorGuide(prior, "sds", 3.0, 1).gradient(patch, hole, WINDOW, (0.4, 0.4), generator(5))
     stream = generator(5)
     torch.rand((), generator=stream)
     x = (2 * patch - 1).permute(2, 0, 1)[None]
@@ -94,17 +95,19 @@ def test_gradient_is_that_of_a_mean_over_pixels_of_a_picture_in_signed_range(pri
     torch.testing.assert_close(gradient, by_hand[0].permute(1, 2, 0) * 2 / 256)
 
 
-def test_draws_are_fresh_at_every_call(guide: Guide) -> None:
+def test_draws_are_fresh_at_every_call(guide: PriorGuide) -> None:
     """S3."""
     patch, hole = torch.rand(16, 16, 3, generator=generator()), torch.ones(16, 16, dtype=torch.bool)
     hole[0] = False
     stream = generator()
-    (first, t1), (second, t2) = (guide.gradient(patch, hole, (0.2, 0.8), stream) for _ in range(2))
+    (first, t1), (second, t2) = (guide.gradient(patch, hole, WINDOW, (0.2, 0.8), stream) for _ in range(2))
     assert t1 != t2
     assert not torch.equal(first, second)
 
 
-def test_condition_is_the_rendered_patch_not_the_photo(field: RadianceField, guide: Guide, view: SceneView) -> None:
+def test_condition_is_the_rendered_patch_not_the_photo(
+    field: RadianceField, guide: PriorGuide, view: SceneView
+) -> None:
     """S2: the photo's colours cannot matter, the field's known region does."""
     other = SceneView(view.name, view.camera, 1 - view.image, view.hole, view.known)
     push = distilled(field, guide, view).push
@@ -119,7 +122,7 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
 ) -> None:
     """S4: d(surrogate)/d(field) is the answer, a constant, times d(patch)/d(field); no gradient enters the prior."""
     assert all(p.requires_grad for p in prior.parameters())
-    result = distilled(field, Guide(prior, "sds", 2.0, 1), view)
+    result = distilled(field, PriorGuide(prior, "sds", 2.0, 1), view)
     result.surrogate.backward()
     assert all(p.grad is None for p in prior.parameters())
     got = [torch.zeros(()) if p.grad is None else p.grad for p in field.parameters()]
@@ -127,16 +130,15 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
     stream = generator()
     behind = torch.rand(3, generator=stream)
     jitter = generator(int(torch.randint(2**62, (1,), generator=stream)))
-    window = Window(0, 8.0, 2.0, 2.0, 16)
-    hole = torch.from_numpy(window.look_up(view.hole))
-    rays = camera_rays(view.camera, window.pixels())
+    hole = torch.from_numpy(WINDOW.look_up(view.hole))
+    rays = camera_rays(view.camera, WINDOW.pixels())
     inside, outside = (Rays(rays.origins[m], rays.directions[m]) for m in (hole, ~hole))
     patch = torch.empty(16, 16, 3)
     grounds = [behind.expand(len(part.origins), 3) for part in (inside, outside)]
     rgb = render(field, inside, generator=jitter, glo="mean", background=grounds[0], near_gradient=False).rgb
     patch[hole] = rgb.detach()
     patch[~hole] = render(field, outside, glo="mean", background=grounds[1]).rgb.detach()
-    answer, _ = Guide(prior, "sds", 2.0, 1).gradient(patch, hole, (0.3, 0.5), stream)
+    answer, _ = PriorGuide(prior, "sds", 2.0, 1).gradient(patch, hole, WINDOW, (0.3, 0.5), stream)
     by_hand = torch.autograd.grad(rgb, list(field.parameters()), answer[hole], allow_unused=True)
     for a, b in zip(got, by_hand, strict=True):
         torch.testing.assert_close(a, torch.zeros_like(a) if b is None else b)
@@ -144,7 +146,7 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
 
 
 def test_blocks_rendered_again_give_the_gradient_of_blocks_kept_in_memory(
-    field: RadianceField, guide: Guide, view: SceneView, monkeypatch: pytest.MonkeyPatch
+    field: RadianceField, guide: PriorGuide, view: SceneView, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second rendering of a block draws the jitter of the first: else its gradient belongs to another picture."""
     again = distilled(field, guide, view, block=7)
@@ -158,7 +160,7 @@ def test_blocks_rendered_again_give_the_gradient_of_blocks_kept_in_memory(
 
 
 def test_diffuse_only_start_leaves_the_specular_network_alone(
-    field: RadianceField, guide: Guide, view: SceneView
+    field: RadianceField, guide: PriorGuide, view: SceneView
 ) -> None:
     """S10."""
     specular = [n.startswith("specular") for n, _ in field.named_parameters()]
@@ -168,7 +170,9 @@ def test_diffuse_only_start_leaves_the_specular_network_alone(
         assert (largest > 0) == moves
 
 
-def test_renders_for_the_prior_take_the_mean_appearance(field: RadianceField, guide: Guide, view: SceneView) -> None:
+def test_renders_for_the_prior_take_the_mean_appearance(
+    field: RadianceField, guide: PriorGuide, view: SceneView
+) -> None:
     """N6: every view's code gets the same share of the gradient."""
     names = [n for n, _ in field.named_parameters()]
     codes = gradients(field, distilled(field, guide, view).surrogate)[names.index("codes")]

@@ -5,7 +5,7 @@ Row numbers (S6, L3, ...) are those of docs/conformance.md, which also says what
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from inpaint3d.contracts.model import Closed, Finite, Positive, Share
 from inpaint3d.radiance.sizing import Architecture
@@ -15,12 +15,28 @@ Steps = Annotated[int, Field(ge=0)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
+Estimator = Literal[
+    "none", "classical", "inpaint-then-nerf", "features",
+    "sds", "nfsd", "sdi", "ism", "vsd", "denoised-target", "dataset-update",
+]  # fmt: skip
+WITHOUT_GUIDE = ("none", "classical")
+WITHOUT_PRIOR = (*WITHOUT_GUIDE, "features")
+
+
 class Config(Closed):
     """What is optimised, against what, and for how long."""
 
-    estimator: Literal["none", "sds", "denoised-target"] = Field(
+    estimator: Estimator = Field(
         default="denoised-target",
-        description="how the prior fills the hole: none (reconstruction only), sds (the paper), denoised-target",
+        description="what fills the hole: none (reconstruction only); baselines: classical (every view inpainted by "
+        "OpenCV, then reconstructed), inpaint-then-nerf (every view sampled from the prior with one seed, LPIPS); "
+        "features (VGG16 features of the rest of the scene, no prior); the prior by sds (the paper), nfsd, sdi, ism, "
+        "vsd, denoised-target, dataset-update",
+    )
+    ranks: Count = Field(
+        default=1,
+        description="processes that each take a patch and a share of the rays, and step along their mean gradient "
+        "(S12); 16 in the paper",
     )
     steps: Count = Field(default=1600, description="steps done (S11: 600 to 1600 in the paper)")
     schedule_steps: Count | None = Field(
@@ -64,7 +80,20 @@ class Config(Closed):
     weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
     weight_decay_to: Share = Field(default=1.0, description="cosine decay to this share of the peak (S13)")
     guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)")
-    denoise_steps: Count = Field(default=4, description="DDIM steps of the denoised-target estimator")
+    denoise_steps: Count = Field(
+        default=4, description="DDIM steps of denoised-target and dataset-update, inversion steps of sdi and ism"
+    )
+    sample_steps: Count = Field(
+        default=32, description="ancestral steps of inpaint-then-nerf for each view; 1000 in the paper"
+    )
+    update_every: Count = Field(default=10, description="patches of a view from one dataset-update to the next")
+    copy_rank: Count = Field(default=4, description="rank of what vsd's copy of the prior may learn")
+    copy_rate: Positive = Field(default=1e-3, description="learning rate of vsd's copy")
+    matching: Literal["nearest", "sliced"] = Field(
+        default="nearest", description="features: each to its nearest, or both sets by sliced Wasserstein distance"
+    )
+    references: Count = Field(default=2, description="features: windows of other views that a patch is matched with")
+    feature_size: Count = Field(default=64, description="features: side of the patch, pixels")
     t_max: Share = Field(default=0.95, description="largest diffusion time (S9)")
     t_min: Share = Field(
         default=0.95,
@@ -97,9 +126,19 @@ class Config(Closed):
     terms_every: Count = Field(default=50, description="steps between rows of gradient norms")
     view_side: Count = Field(default=160, description="longest side of the stored renders of each view, pixels")
 
+    @model_validator(mode="after")
+    def _ranks_can_share(self) -> "Config":
+        if self.rays % self.ranks:
+            raise ValueError(f"rays {self.rays} do not share out over {self.ranks} ranks; make them a multiple")
+        if self.estimator == "dataset-update" and self.ranks > 1:
+            raise ValueError("dataset-update keeps one set of pictures; set ranks: 1, or choose another estimator")
+        return self
+
 
 def label_of(estimator: str, *, continued: bool) -> str:
     """What a field is called in reports. continued: it started from an initial field."""
     if estimator == "none":
         return "continued-reconstruction" if continued else "masked-reconstruction"
+    if estimator in ("classical", "inpaint-then-nerf"):
+        return f"{estimator.removesuffix('-then-nerf')}-then-nerf"
     return f"joint-{estimator}"

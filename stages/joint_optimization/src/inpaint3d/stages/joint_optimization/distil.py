@@ -21,8 +21,9 @@ from inpaint3d.stages.joint_optimization.scene import SceneView
 class Distilled:
     """What a patch adds to the step.
 
-    surrogate: a number whose gradient is the prior's; its value means nothing. interlevel, distortion: means over the
-    rays of the hole, `rays` of them. t: the diffusion time. push: root mean square of the gradient inside the hole.
+    surrogate: a number whose gradient is the guide's; its value means nothing. interlevel, distortion: means over the
+    rays of the hole, `rays` of them. t: the diffusion time, NaN where there is none. push: root mean square of the
+    gradient inside the hole.
     """
 
     surrogate: Float[Tensor, ""]
@@ -62,7 +63,7 @@ def distil(
     patch = torch.empty(*hole.shape, 3, device=field.device)
     patch[~hole] = _without_graph(field, outside, look, block)
     patch[hole] = rgb.detach()
-    gradient, t = guide.gradient(patch, hole, timesteps, generator)
+    gradient, t = guide.gradient(patch, hole, window, timesteps, generator)
     inner = gradient[hole]
     return Distilled(
         # The gradient is a constant: the surrogate's derivative by the patch is exactly it.

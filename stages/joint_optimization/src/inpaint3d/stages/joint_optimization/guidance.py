@@ -1,49 +1,190 @@
-"""What the prior says of a rendered patch: one constant gradient for its hole (rows S2 to S5, L8)."""
+"""What fills the hole: for a rendered patch, one constant gradient (rows S2 to S5, L8).
 
+One interface, `Guide`; who it is, `run.load_guide` decides by the parameter `estimator`.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple, Protocol
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from inpaint3d.diffusion.distillation import denoised_target_gradient, sds_gradient
+from inpaint3d.diffusion.distillation import (
+    dataset_gradient,
+    denoised_target,
+    denoised_target_gradient,
+    ism_gradient,
+    nfsd_gradient,
+    sdi_gradient,
+    sds_gradient,
+    vsd_gradient,
+)
+from inpaint3d.diffusion.low_rank import LowRankCopy
 from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.stages.joint_optimization.patches import Window
 
 Patch = Float[Tensor, "h w 3"]
 Hole = Bool[Tensor, "h w"]
+Windows = Sequence[Window | None]
+PriorEstimator = Literal["sds", "nfsd", "sdi", "ism", "vsd", "denoised-target"]
 
 
-@dataclass(frozen=True)
-class Guide:
-    """A prior with the estimator that turns its opinion into a gradient."""
+class Guide(Protocol):
+    """Turns a rendered patch into the gradient that its hole descends."""
 
-    prior: InpaintingPrior
-    estimator: Literal["sds", "denoised-target"]
-    guidance: float
-    denoise_steps: int
+    @property
+    def size(self) -> int:
+        """Side of the patches that it looks at."""
+        ...
+
+    @property
+    def windows(self) -> Windows | None:
+        """Each view's window, where the guide keeps a picture of every view; None: windows are drawn."""
+        ...
 
     def gradient(
-        self, patch: Patch, hole: Hole, timesteps: tuple[float, float], generator: torch.Generator
+        self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
     ) -> tuple[Patch, float]:
-        """d(loss)/d(patch) for a patch rendered in [0, 1], and the diffusion time t that was drawn.
+        """d(loss)/d(patch) for a patch rendered in [0, 1], and the diffusion time t that was drawn (NaN: none).
 
-        t, the noise and the fill of the condition are fresh at every call (S3). Outside the hole the gradient is 0. It
-        is that of a mean over the patch's pixels, of a picture in [-1, 1]: hence the factor 2 and the division (L8).
+        Outside the hole the gradient is 0. All that is random comes from `generator`.
         """
-        low, high = timesteps
-        t = low + (high - low) * torch.rand((), generator=generator).item()
-        x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
-        mask = hole[None, None].to(x)
-        eps = torch.randn(x.shape, generator=generator).to(x)
-        noise_fill = torch.randn(x.shape, generator=generator).to(x)
-        estimate = self._estimate(x, mask, torch.full((1,), t).to(x), eps, noise_fill)
-        pixels = patch.shape[0] * patch.shape[1]
-        return estimate[0].permute(1, 2, 0) * (2.0 / pixels), t
+        ...
 
-    def _estimate(self, x: Tensor, mask: Tensor, t: Tensor, eps: Tensor, noise_fill: Tensor) -> Tensor:
-        if self.estimator == "sds":
-            return sds_gradient(self.prior, x, mask, t, eps, guidance=self.guidance, noise_fill=noise_fill)
-        return denoised_target_gradient(
-            self.prior, x, mask, t, eps, guidance=self.guidance, noise_fill=noise_fill, steps=self.denoise_steps
-        )
+    def state(self) -> dict[str, Tensor]:
+        """What it has learnt on the way, for a checkpoint."""
+        ...
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """From a checkpoint."""
+        ...
+
+
+class Asked(NamedTuple):
+    """A patch as a prior is asked about it: x in [-1, 1], batch of one; t, noise and fill are fresh (S3)."""
+
+    x: Float[Tensor, "1 3 h w"]
+    mask: Float[Tensor, "1 1 h w"]
+    t: Float[Tensor, "1"]
+    eps: Float[Tensor, "1 3 h w"]
+    noise_fill: Float[Tensor, "1 3 h w"]
+
+    @classmethod
+    def about(cls, patch: Patch, hole: Hole, timesteps: tuple[float, float], generator: torch.Generator) -> "Asked":
+        low, high = timesteps
+        t = low + (high - low) * torch.rand((), generator=generator)
+        x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
+        eps, noise_fill = (torch.randn(x.shape, generator=generator).to(x) for _ in range(2))
+        return cls(x, hole[None, None].to(x), t.reshape(1).to(x), eps, noise_fill)
+
+    def answered(self, gradient: Float[Tensor, "1 3 h w"]) -> tuple[Patch, float]:
+        """As that of a mean over the patch's pixels, of a picture in [-1, 1]: a factor 2 and a division (L8)."""
+        return gradient[0].permute(1, 2, 0) * (2.0 / self.mask.numel()), float(self.t)
+
+
+@dataclass
+class PriorGuide:
+    """A prior with the estimator that turns its opinion into a gradient. copy: vsd's, which learns the renders."""
+
+    prior: InpaintingPrior
+    estimator: PriorEstimator
+    guidance: float
+    steps: int
+    copy: LowRankCopy | None = None
+    windows: None = None
+
+    @property
+    def size(self) -> int:
+        return self.prior.spec.size
+
+    def gradient(
+        self,
+        patch: Patch,
+        hole: Hole,
+        window: Window,  # noqa: ARG002 - a prior needs not know where it looks
+        timesteps: tuple[float, float],
+        generator: torch.Generator,
+    ) -> tuple[Patch, float]:
+        asked = Asked.about(patch, hole, timesteps, generator)
+        return asked.answered(self._estimate(asked, timesteps, generator))
+
+    def _estimate(self, asked: Asked, timesteps: tuple[float, float], generator: torch.Generator) -> Tensor:
+        x, mask, t, eps, fill = asked
+        prior, g, steps = self.prior, self.guidance, self.steps
+        match self.estimator:
+            case "sds":
+                return sds_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill)
+            case "nfsd":
+                return nfsd_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill)
+            case "sdi":
+                return sdi_gradient(prior, x, mask, t, guidance=g, noise_fill=fill, steps=steps)
+            case "ism":
+                return ism_gradient(prior, x, mask, t, guidance=g, noise_fill=fill, steps=steps)
+            case "denoised-target":
+                return denoised_target_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill, steps=steps)
+            case "vsd":
+                if self.copy is None:
+                    raise ValueError("vsd needs a copy of the prior to learn the renders")
+                gradient = vsd_gradient(prior, self.copy.network, x, mask, t, eps, guidance=g, noise_fill=fill)
+                self.copy.learn(x, mask, generator, timesteps)
+                return gradient
+
+    def state(self) -> dict[str, Tensor]:
+        return {} if self.copy is None else self.copy.state()
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        if self.copy is not None:
+            self.copy.restore(tensors)
+
+
+class DatasetGuide:
+    """Iterative dataset update (arXiv:2303.12789): a picture of every view, made again from its render now and then.
+
+    update_every: patches of a view from one update to the next; the first makes it.
+    """
+
+    def __init__(
+        self, prior: InpaintingPrior, windows: Windows, *, guidance: float, steps: int, update_every: int
+    ) -> None:
+        self.prior, self.windows, self.size = prior, windows, prior.spec.size
+        self._guidance, self._steps, self._every = guidance, steps, update_every
+        self._targets = torch.zeros(len(windows), 3, self.size, self.size)
+        self._seen = torch.zeros(len(windows), dtype=torch.int64)
+
+    def gradient(
+        self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
+    ) -> tuple[Patch, float]:
+        asked = Asked.about(patch, hole, timesteps, generator)
+        x, mask, t, eps, fill = asked
+        if self._seen[window.view] % self._every == 0:
+            made = denoised_target(
+                self.prior, x, mask, t, eps, guidance=self._guidance, noise_fill=fill, steps=self._steps
+            )
+            self._targets[window.view] = made[0].cpu()
+        self._seen[window.view] += 1
+        return asked.answered(dataset_gradient(x, mask, self._targets[window.view][None].to(x)))
+
+    def state(self) -> dict[str, Tensor]:
+        return {"targets": self._targets, "seen": self._seen}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        self._targets, self._seen = tensors["targets"], tensors["seen"]
+
+
+def evaluations(estimator: str, *, guidance: float, steps: int) -> int:
+    """UNet evaluations of a distilled step without learning; a backward pass, where there is one, counts as two.
+
+    steps: DDIM or inversion steps. An update of dataset-update costs what a denoised target does.
+    """
+    asked = 1 if guidance in (0.0, 1.0) else 2
+    return {
+        "sds": asked,
+        "nfsd": asked + 1,
+        "sdi": steps + asked,
+        "ism": steps + 1 + asked,
+        "vsd": asked + 1 + 3,
+        "denoised-target": steps * asked,
+        "dataset-update": steps * asked,
+    }.get(estimator, 0)

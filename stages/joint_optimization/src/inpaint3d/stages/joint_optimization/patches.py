@@ -49,13 +49,13 @@ def draw_window(
     size: int,
     span: float,
     least_known: float,
-    rng: np.random.Generator,
+    rng: np.random.Generator | None,
 ) -> Window | None:
     """A random window that overlaps `hole` [h, w] and of which `known` [h, w] fills at least the share `least_known`.
 
     Windows are drawn in proportion to the hole that they cover, since the rest of a window only tells the prior where
     it is. Where no window of this span holds enough known pixels the one with the most is taken; None only where the
-    view has no hole at all.
+    view has no hole at all. Without `rng` it is the middle one of those that cover most of the hole.
     """
     side = window_side(span, size, *hole.shape)
     covered = box_sums(hole, side).astype(np.float64)
@@ -66,8 +66,12 @@ def draw_window(
     odds = np.where(context >= enough, covered, 0.0)
     if not odds.any():
         odds = np.where((covered > 0) & (context == context[covered > 0].max()), covered, 0.0)
-    cumulative = odds.ravel().cumsum()
-    chosen = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
+    if rng is None:
+        best = np.flatnonzero(odds == odds.max())
+        chosen = int(best[len(best) // 2])
+    else:
+        cumulative = odds.ravel().cumsum()
+        chosen = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
     y, x = np.unravel_index(min(chosen, odds.size - 1), odds.shape)
     return Window(view, float(x), float(y), side / size, size)
 

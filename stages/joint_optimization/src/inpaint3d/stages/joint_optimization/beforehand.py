@@ -1,0 +1,101 @@
+"""Baselines that fill the pictures before there is a field: by OpenCV, or by the prior, each view on its own (E4)."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.samplers import inpaint
+from inpaint3d.perception.lpips import enlarged, load
+from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Windows
+from inpaint3d.stages.joint_optimization.patches import Window, draw_window
+from inpaint3d.stages.joint_optimization.scene import SceneView
+
+RADIUS = 3.0
+"""Pixels around a missing one that Telea's method looks at."""
+
+
+def filled_classically(views: Sequence[SceneView]) -> tuple[SceneView, ...]:
+    """The views with their holes filled by Telea's method (2004) from their own known pixels, and no hole any more."""
+    return tuple(replace(v, image=_telea(v), known=v.known | v.hole, hole=np.zeros_like(v.hole)) for v in views)
+
+
+def _telea(view: SceneView) -> np.ndarray:
+    if not view.hole.any():
+        return view.image
+    codes = np.round(view.image.clip(0, 1) * 255).astype(np.uint8)
+    made = cv2.inpaint(codes, (~view.known).astype(np.uint8), RADIUS, cv2.INPAINT_TELEA)
+    return np.where(view.hole[..., None], made.astype(np.float32) / 255, view.image)
+
+
+def fixed_windows(views: Sequence[SceneView], *, size: int, span: float, least_known: float) -> Windows:
+    """One window of each view, over most of its hole; None where it shows none, or nothing known around it."""
+    return [
+        draw_window(v.hole, v.known, i, size=size, span=span, least_known=least_known, rng=None)
+        if v.known.any()
+        else None
+        for i, v in enumerate(views)
+    ]
+
+
+def sampled_views(
+    views: Sequence[SceneView], windows: Windows, prior: InpaintingPrior, *, steps: int, guidance: float, seed: int
+) -> list[Tensor | None]:
+    """Each view's window as the prior fills it, [size, size, 3] in [0, 1], by ancestral sampling.
+
+    Every view starts from the same noise, is shown the same noise fill, and draws the same noise on the way: as far as
+    independent samples can agree, these do (the paper's appendix, 'Inpaint-then-NeRF').
+    """
+    pictures: list[Tensor | None] = []
+    device = next(prior.parameters()).device
+    for view, window in zip(views, windows, strict=True):
+        if window is None:
+            pictures.append(None)
+            continue
+        image = torch.from_numpy(np.ascontiguousarray(window.look_up(view.image))).to(device) * 2 - 1
+        unknown = torch.from_numpy(window.look_up(~view.known))[None, None].float().to(device)
+        made = inpaint(
+            prior,
+            image.permute(2, 0, 1)[None],
+            unknown,
+            steps=steps,
+            generator=torch.Generator().manual_seed(seed),
+            guidance=guidance,
+            ancestral=True,
+        )
+        pictures.append((made[0].permute(1, 2, 0) + 1) / 2)
+    return pictures
+
+
+class PictureGuide:
+    """Pictures that were made beforehand: LPIPS of the hole, the rest of the patch being the picture's own."""
+
+    def __init__(self, pictures: Sequence[Tensor | None], windows: Windows, size: int) -> None:
+        self.windows, self.size, self._pictures = windows, size, pictures
+
+    def gradient(
+        self,
+        patch: Patch,
+        hole: Hole,
+        window: Window,
+        timesteps: tuple[float, float],  # noqa: ARG002 - nothing is noised here
+        generator: torch.Generator,  # noqa: ARG002 - nor drawn
+    ) -> tuple[Patch, float]:
+        picture = self._pictures[window.view]
+        if picture is None:
+            raise ValueError(f"view {window.view} has no picture: it shows no hole")
+        rendered = patch.detach().requires_grad_()
+        pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
+        made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
+        (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
+        return gradient * hole[..., None], float("nan")
+
+    def state(self) -> dict[str, Tensor]:
+        return {}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        pass
