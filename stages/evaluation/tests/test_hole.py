@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from inpaint3d.stages.evaluation.baselines import ring_around
-from inpaint3d.stages.evaluation.hole import gradient_ratio, opacity_figures
+from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures, reprojection_figures
 
 
 def mask() -> np.ndarray:
@@ -33,3 +33,24 @@ def test_a_flat_surround_or_a_hole_of_one_pixel_has_no_ratio():
     one = np.zeros((30, 30), bool)
     one[3, 3] = True
     assert gradient_ratio(flat, one, ring_around(one, 3)) is None
+
+
+@pytest.mark.parametrize("gain", [0.3, 1.0, 2.0])
+def test_the_share_of_the_truth_s_gradients_looks_at_the_hole_alone(gain):
+    y, x = np.mgrid[:30, :30]
+    truth = ((x + y) % 2).astype(np.float32)[..., None] * np.ones(3, np.float32) * 0.2
+    noise = np.random.default_rng(0).random((30, 30, 3)).astype(np.float32)
+    image = np.where(mask()[..., None], gain * truth, noise)
+    assert gradient_share(image, truth, mask()) == pytest.approx(gain**2, rel=1e-5)
+    assert gradient_share(image, np.zeros_like(truth), mask()) is None
+
+
+def test_reprojection_counts_hole_and_known_pixels_apart_and_only_where_seen():
+    image = np.zeros((30, 30, 3), np.float32)
+    neighbour = np.where(mask()[..., None], np.float32(0.2), np.float32(0.05)) * np.ones(3, np.float32)
+    seen = np.ones((30, 30), bool)
+    seen[10:15] = False
+    neighbour[10:15] = 1.0  # not seen: must not count
+    figures = reprojection_figures(image, neighbour, seen, mask(), ~mask())
+    assert figures == pytest.approx({"reprojection_hole": 0.2, "reprojection_known": 0.05})
+    assert reprojection_figures(image, neighbour, ~mask(), mask(), ~mask()).keys() == {"reprojection_known"}

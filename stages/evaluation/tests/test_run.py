@@ -146,6 +146,7 @@ def test_every_protocol_has_every_method(full):
         "hole-only-vs-truth": fields | {"mean-surround"},
         "held-out-known-pixels": fields | {"mean-colour", "nearest-photo-warped"},
         "hole-statistics": fields,
+        "neighbouring-views": fields,
     }
 
 
@@ -190,7 +191,7 @@ def test_pictures_and_report_are_there(full):
 
 def test_without_truth_the_report_says_so(store, inputs):
     root, evaluation = evaluated(store, inputs | {"radiance-fields": [field(store, "a")]}, perceptual=False)
-    assert [p.name for p in evaluation.protocols] == ["held-out-known-pixels", "hole-statistics"]
+    assert [p.name for p in evaluation.protocols] == ["held-out-known-pixels", "hole-statistics", "neighbouring-views"]
     assert "nothing here says whether the filling is true" in (root / "report.html").read_text()
 
 

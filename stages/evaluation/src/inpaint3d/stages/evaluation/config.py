@@ -21,6 +21,9 @@ class Config(Closed):
     held_out_views: Annotated[int, Field(ge=0)] = Field(
         default=4, description="test-split views scored at most, spread evenly; 0: none"
     )
+    neighbour_views: Annotated[int, Field(ge=0)] = Field(
+        default=2, description="views compared with their nearest neighbour's render at most; 0: none"
+    )
     box_growth: Share = Field(
         default=0.1, description="share by which the mask's bounding box grows in width and height (E1)"
     )

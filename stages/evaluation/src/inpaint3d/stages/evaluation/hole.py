@@ -1,4 +1,4 @@
-"""What can be said of a hole without truth: is it opaque, and is it as lively as its surround?"""
+"""What can be said of a hole: is it opaque, as lively as its surround or the truth, the same from the next view?"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,27 @@ def gradient_ratio(image: NDArray[np.float32], mask: Mask, ring: Mask) -> float 
     if inside is None or not around:
         return None
     return inside / around
+
+
+def gradient_share(image: NDArray[np.float32], truth: NDArray[np.float32], mask: Mask) -> float | None:
+    """Gradient energy inside the mask over that of the truth there: under 1 is blur, above 1 noise.
+
+    None where the mask holds no two neighbouring pixels, or the truth is perfectly flat.
+    """
+    made, real = _energy(image, mask), _energy(truth, mask)
+    return made / real if made is not None and real else None
+
+
+def reprojection_figures(
+    image: NDArray[np.float32], neighbour: NDArray[np.float32], seen: Mask, mask: Mask, known: Mask
+) -> dict[str, float]:
+    """Mean colour difference between a view [h, w, 3] and its neighbour warped to it, where both see the same surface.
+
+    Inside the mask and, to compare with, over known pixels; a region that the neighbour does not see has no figure.
+    """
+    apart = np.abs(image.astype(np.float64) - neighbour).mean(-1)
+    regions = {"reprojection_hole": mask & seen, "reprojection_known": known & seen}
+    return {name: float(apart[region].mean()) for name, region in regions.items() if region.any()}
 
 
 def _energy(image: NDArray[np.float32], region: Mask) -> float | None:

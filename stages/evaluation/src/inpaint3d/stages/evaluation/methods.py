@@ -5,14 +5,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.artifacts import RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
-from inpaint3d.radiance.rendering import render_view
+from inpaint3d.radiance.rays import camera_rays
+from inpaint3d.radiance.rendering import EMPTY, render, render_view
 from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.image_io import Mask
 from inpaint3d.stages.evaluation.boxes import Box
 from inpaint3d.stages.evaluation.photos import Photo
 
@@ -40,6 +43,24 @@ class Method:
         camera = photo.camera if box is None else cropped(photo.camera, box)
         maps = render_view(self.field, camera, block=block, view=photo.exposure)
         return {name: maps[name] for name in ("rgb", "opacity", "depth")}
+
+    @torch.no_grad()
+    def depth_spread(self, photo: Photo, region: Mask, block: int) -> float:
+        """How far a region's light stops before and behind its mean distance, as a share of it; mean over the rays.
+
+        The square root of the depth's variance along a ray: 0 is a surface, fog is far from it.
+        """
+        y, x = np.nonzero(region)
+        rays = camera_rays(photo.camera, np.stack([x + 0.5, y + 0.5], -1), device=self.field.device)
+        shares: list[torch.Tensor] = []
+        for start in range(0, len(x), block):
+            seen = render(self.field, rays[start : start + block], glo="mean")
+            middle = (seen.tdist[:, 1:] + seen.tdist[:, :-1]) / 2
+            weight = seen.weights / seen.weights.sum(1, keepdim=True).clamp(min=EMPTY)
+            mean = (weight * middle).sum(1, keepdim=True)
+            variance = (weight * (middle - mean).square()).sum(1)
+            shares.append(variance.sqrt() / mean[:, 0].clamp(min=EMPTY))
+        return float(torch.cat(shares).mean())
 
 
 def load_methods(artifacts: list[Artifact[RadianceFieldArtifact]], device: str) -> list[Method]:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from inpaint3d.contracts.artifacts import Metric, Protocol
 from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import Image
+from inpaint3d.scene.reprojection import warp_image
 from inpaint3d.stages.evaluation.baselines import (
     interpolated_depth,
     mean_colour,
@@ -20,19 +21,23 @@ from inpaint3d.stages.evaluation.boxes import mask_box
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import frechet_distance, kernel_distance
-from inpaint3d.stages.evaluation.hole import gradient_ratio, opacity_figures
+from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures, reprojection_figures
 from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
 from inpaint3d.stages.evaluation.metrics import psnr, ssim
-from inpaint3d.stages.evaluation.photos import Photo
+from inpaint3d.stages.evaluation.photos import Photo, apart
 from inpaint3d.stages.evaluation.scores import Scores, metric
 
 BOX = "hole-box-vs-truth"
 HOLE = "hole-only-vs-truth"
 HELD_OUT = "held-out-known-pixels"
 STATISTICS = "hole-statistics"
+CONSISTENCY = "neighbouring-views"
 MEAN_SURROUND = "mean-surround"
 MEAN_COLOUR = "mean-colour"
 WARPED = "nearest-photo-warped"
+
+Z_TOLERANCE = 0.02
+"""Share of a depth by which the neighbour's own may differ for it to be the same surface."""
 
 Tick = Callable[[str], None]
 
@@ -89,7 +94,10 @@ def against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
             crop = np.ascontiguousarray(picture[box.within(outer).slices])
             crops.setdefault(label, []).append(crop)
             bench.scores.add(BOX, label, photo.name, compared(crop, truth, perceptual=config.perceptual))
-            bench.scores.add(HOLE, label, photo.name, {"psnr": psnr(crop, truth, hole)})
+            figures = {"psnr": psnr(crop, truth, hole)}
+            if (share := gradient_share(crop, truth, hole)) is not None:
+                figures["gradient_share"] = share
+            bench.scores.add(HOLE, label, photo.name, figures)
         truths.append(truth)
     if not truths:
         return []
@@ -148,6 +156,8 @@ def hole_statistics(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         ring = ring_around(photo.hole, ring_width(bench.config, box.width, box.height)) & photo.known
         for label, maps in renders.items():
             figures = opacity_figures(maps["opacity"], photo.hole)
+            method = next(m for m in bench.methods if m.label == label)
+            figures["depth_spread"] = method.depth_spread(photo, photo.hole, bench.config.block)
             ratio = gradient_ratio(maps["rgb"], photo.hole, ring)
             if ratio is not None:
                 figures["gradient_ratio"] = ratio
@@ -160,8 +170,42 @@ def hole_statistics(bench: Bench, photos: list[Photo]) -> list[Protocol]:
             name=STATISTICS,
             description=f"Inside the mask of {done} views of the capture; needs no truth. Opacity below 1 is fog "
             "or a gap. Gradient energy of the render inside the mask over that in a ring around it: near 1 is "
-            "alike, near 0 is blurred, well above 1 is noise.",
+            "alike, near 0 is blurred, well above 1 is noise. Spread of depth: standard deviation of where a ray's "
+            "light stops, over its mean distance; a surface is near 0.",
             metrics=tuple(bench.scores.means(STATISTICS)),
+        )
+    ]
+
+
+def neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -> list[Protocol]:
+    """`neighbouring-views`: is what fills the hole the same thing from the next camera?"""
+    done = 0
+    for photo in photos:
+        rest = [o for o in others if o.name != photo.name]
+        if not photo.hole.any() or not rest:
+            continue
+        neighbour = min(rest, key=lambda o: apart(photo.camera, o.camera))
+        here, there = ({m.label: bench.full_render(m, p) for m in bench.methods} for p in (photo, neighbour))
+        if not (bench.usable(here, photo.name) and bench.usable(there, neighbour.name)):
+            continue
+        for label, maps in here.items():
+            beside = there[label]
+            warped, seen = warp_image(
+                beside["rgb"], neighbour.camera, beside["depth"], photo.camera, maps["depth"], Z_TOLERANCE
+            )
+            figures = reprojection_figures(maps["rgb"], warped, seen, photo.hole, photo.known)
+            bench.scores.add(CONSISTENCY, label, photo.name, figures)
+        done += 1
+    metrics = tuple(bench.scores.means(CONSISTENCY))
+    if not metrics:  # nowhere do two views agree on a surface
+        return []
+    return [
+        Protocol(
+            name=CONSISTENCY,
+            description=f"{done} views, each beside the render of the nearest other camera of the capture, warped to "
+            f"it by both renders' depths where they agree within {Z_TOLERANCE:.0%}: mean absolute difference of "
+            "colours. Needs no truth; the known pixels' figure is what geometry and view dependence cost by themselves.",
+            metrics=metrics,
         )
     ]
 

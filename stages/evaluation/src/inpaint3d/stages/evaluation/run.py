@@ -23,7 +23,14 @@ from inpaint3d.stages.evaluation.photos import (
     read_masks,
 )
 from inpaint3d.stages.evaluation.pictures import coloured_depth, hidden, outlined, showing_most, side_by_side
-from inpaint3d.stages.evaluation.protocols import Bench, Tick, against_truth, held_out, hole_statistics
+from inpaint3d.stages.evaluation.protocols import (
+    Bench,
+    Tick,
+    against_truth,
+    held_out,
+    hole_statistics,
+    neighbouring_views,
+)
 from inpaint3d.stages.evaluation.report import Curve, Report, Strip, write_report
 
 CONTACT = "pictures/before_mask_after_depth.png"
@@ -46,15 +53,15 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     # Statistics of the hole reuse the renders of held-out views where there are any.
     shown = test or evenly_chosen(train, min(len(train), max(1, config.picture_views)))
 
-    steps = (
-        len(truths) + len(methods) * (len({p.name for p in test + shown}) + min(len(truths), config.picture_views)) + 1
-    )
+    whole = len({p.name for p in test + shown}) + config.neighbour_views + min(len(truths), config.picture_views)
+    steps = len(truths) + len(methods) * whole + 1
     bench = Bench(methods, config, tick=_counter(ctx, steps))
     points = load_points(capture.path(capture.metadata.points)).xyz
     done = [
         *against_truth(bench, truths),
         *held_out(bench, test, train, points),
         *hole_statistics(bench, shown),
+        *neighbouring_views(bench, evenly_chosen(shown, config.neighbour_views), photos),
     ]
 
     folder = outputs.folder("evaluation")

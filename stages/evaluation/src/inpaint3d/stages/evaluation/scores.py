@@ -30,6 +30,10 @@ KINDS: dict[str, Kind] = {
     "opacity_mean": Kind("opacity, mean", "1", "higher", 3),
     "opacity_min": Kind("opacity, least", "1", "higher", 3),
     "opaque_share": Kind("share of opacity ≥ 0.95", "1", "higher", 3),
+    "gradient_share": Kind("gradient energy, hole : truth", "1", "nearer 1", 2),
+    "depth_spread": Kind("spread of depth along rays : distance", "1", "lower", 3),
+    "reprojection_hole": Kind("colour difference to the next view, hole", "1", "lower", 4),
+    "reprojection_known": Kind("the same, known pixels", "1", "lower", 4),
     "gradient_ratio": Kind("gradient energy, hole : surround", "1", "nearer 1", 2),
 }
 
