@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check install schemas format bench-radiance bench-prior bench-unet clean
+.PHONY: demo test check install schemas format bench-radiance bench-prior bench-unet bench-joint clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -57,6 +57,9 @@ bench-prior: .venv/.installed ## a prior on held-out photos against classical fi
 
 bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [PHOTOS=FOLDER]
 	.venv/bin/python -m benchmarks.unet $(if $(PHOTOS),--photos $(PHOTOS)) $(BENCH_OPTIONS)
+
+bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER]
+	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(BENCH_OPTIONS)
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs

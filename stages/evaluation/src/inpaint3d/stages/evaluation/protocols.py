@@ -204,7 +204,8 @@ def neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -
             name=CONSISTENCY,
             description=f"{done} views, each beside the render of the nearest other camera of the capture, warped to "
             f"it by both renders' depths where they agree within {Z_TOLERANCE:.0%}: mean absolute difference of "
-            "colours. Needs no truth; the known pixels' figure is what geometry and view dependence cost by themselves.",
+            "colours. Needs no truth; the known pixels' figure is what geometry and view dependence cost by "
+            "themselves.",
             metrics=metrics,
         )
     ]

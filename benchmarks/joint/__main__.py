@@ -1,0 +1,220 @@
+"""What fills a hole best: `make bench-joint [STATUE=FOLDER]`.
+
+    python -m benchmarks.joint [--statue FOLDER] [--rows ROW ...] [--seeds N ...] [--quick] [--work DIR] [--out FILE]
+
+Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, prior and masked
+reconstruction through the stage joint-optimization, with three seeds of that stage. Rows, holes and the rule for the
+default stand in rows.py.
+
+Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
+its checkpoint, and the file is written after every row. Pictures of each row lie in --work/pictures, to be looked at.
+
+--statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
+small budget and one seed, to see that it works; its figures mean nothing.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from benchmarks.joint.rows import (
+    FIGURES,
+    HOLES,
+    ROWS,
+    RULE,
+    SEEDS,
+    STATUE_MASK,
+    TRUTH_EVERY,
+    TRUTH_FIRST,
+    Measured,
+    Parameters,
+    chosen,
+    mean,
+    parameters_of,
+    shortfalls,
+    spread,
+)
+
+from inpaint3d.contracts.artifacts import Evaluation
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.store import Record, Store
+from inpaint3d.orchestrator.history import History, this_machine
+from inpaint3d.orchestrator.parameters import resolved
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+RESULTS = REPOSITORY / "benchmarks" / "results" / "joint.json"
+WORK = REPOSITORY / ".cache" / "bench-joint"
+DEMO = REPOSITORY / "examples" / "demo"
+JOINT, EVALUATION = "joint-optimization", "evaluation"
+QUICK = {
+    "nerf-pretraining": {"steps": 60, "view_side": 80},
+    "diffusion-training": {"steps": 4},
+    "masked-reconstruction": {"steps": 60, "view_side": 80},
+    JOINT: {"steps": 12, "sample_steps": 4, "score_every": 6, "terms_every": 6, "view_side": 40},
+    EVALUATION: {
+        "render_longest_side": 96, "truth_views": 2, "held_out_views": 1, "picture_views": 1, "neighbour_views": 1,
+    },
+}  # fmt: skip
+
+
+class Bench:
+    """One capture with what comes before the joint optimisation, made once."""
+
+    def __init__(self, scene: str, capture: Path, mask: Path, work: Path, *, quick: bool) -> None:
+        self.scene, self.work = scene, work
+        self.pipeline, self.store = Pipeline(REPOSITORY / "pipeline.yaml"), Store(work / "store")
+        self.changes: dict[str, Parameters] = QUICK if quick else {}
+        settings = [f"{node}.{n}={v}" for node, p in self.changes.items() for n, v in p.items()]
+        self.outputs: dict[str, str] = {}
+        for until in ("masked-reconstruction", "diffusion-training"):
+            subprocess.run(
+                [
+                    str(Path(sys.executable).parent / "inpaint3d"), "run", str(capture), "--mask", str(mask),
+                    "--name", scene, "--until", until, "--store", str(work / "store"), "--runs-dir", str(work / "runs"),
+                    *(word for setting in settings for word in ("--set", setting)),
+                ],
+                cwd=REPOSITORY, check=True,
+            )  # fmt: skip
+            for node in History(self.store).latest(scene).nodes:
+                self.outputs |= {f"{node.node}.{port}": digest for port, digest in node.outputs.items()}
+
+    def measure(self, row: str, seed: int) -> dict[str, Any]:
+        """Figures of a row with a seed, and what the stage took."""
+        paper = self.pipeline.parameters(JOINT, "paper")
+        changes = parameters_of(row, paper) | self.changes.get(JOINT, {})
+        joint = self._run(JOINT, changes, self._inputs(JOINT), seed)
+        field = joint.outputs["radiance-field"]
+        inputs = self._inputs(EVALUATION) | {"radiance-fields": [field]}
+        scored = self._run(EVALUATION, self.changes.get(EVALUATION, {}), inputs, 0)
+        evaluation = self.store.open(scored.outputs["evaluation"], Evaluation)
+        shown = self.work / "pictures" / self.scene / f"{row}-{seed}"
+        shutil.rmtree(shown, ignore_errors=True)
+        shutil.copytree(evaluation.root / "pictures", shown)
+        label = evaluation.metadata.protocols[0].metrics[0].method
+        figures: dict[str, Any] = {
+            m.name: m.value
+            for protocol in evaluation.metadata.protocols
+            for m in protocol.metrics
+            if m.method == label and FIGURES.get(m.name) == protocol.name
+        }
+        took = {name: joint.timings[name] for name in ("wall_s", "cpu_s")}
+        return figures | took | {"seed": seed, "key": joint.key}
+
+    def _inputs(self, node: str) -> dict[str, Any]:
+        wired = self.pipeline.references(node)
+        ports = self.pipeline.stages[node].spec.inputs
+        found = {p: [self.outputs[r] for r in rs if r in self.outputs] for p, rs in wired.items()}
+        return {port: ds if ports[port].list else ds[0] for port, ds in found.items() if ds}
+
+    def _run(self, node: str, changes: Parameters, inputs: dict[str, Any], seed: int) -> Record:
+        """A stage as the scheduler would start it; at once where the store has its result."""
+        parameters = resolved(self.pipeline, node, self.pipeline.parameters(node, None) | changes)
+        invocation = Invocation(parameters=parameters, inputs=inputs, seed=seed, threads=os.cpu_count() or 1)
+        module = self.pipeline.stages[node].spec.module
+        with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
+            file.write(invocation.model_dump_json())
+            file.flush()
+            command = ["-m", module, "run", "--store", str(self.store.root), "--invocation", file.name]
+            done = subprocess.run([sys.executable, *command], cwd=REPOSITORY, stdout=subprocess.PIPE, text=True)
+        last = json.loads(done.stdout.splitlines()[-1])
+        if done.returncode != 0:
+            raise SystemExit(f"{node} of {self.scene} failed with exit code {done.returncode}: {last.get('message')}")
+        record = self.store.lookup(last["key"])
+        if record is None:
+            raise SystemExit(f"{node} of {self.scene} left no record of {last['key']}; run it again")
+        return record
+
+
+def statue_capture(photos: Path, work: Path) -> tuple[Path, Path]:
+    """The photos as a capture with truth beside it, and the request for its hole, by the rule in rows.py."""
+    pictures = sorted(p for p in (photos / "images").glob("*") if p.suffix.lower() in (".jpg", ".jpeg", ".png"))
+    if len(pictures) < 2 * TRUTH_EVERY:
+        raise SystemExit(f"--statue {photos}: images/ holds {len(pictures)} photos; give at least {2 * TRUTH_EVERY}")
+    folder = work / "captures" / "statue"
+    shutil.rmtree(folder, ignore_errors=True)
+    for i, picture in enumerate(pictures):
+        target = folder / ("truth" if i % TRUTH_EVERY == TRUTH_FIRST else "images")
+        target.mkdir(parents=True, exist_ok=True)
+        shutil.copy(picture, target)
+    mask = work / "captures" / "statue.yaml"
+    mask.write_text(STATUE_MASK)
+    return folder, mask
+
+
+def table(measured: Measured) -> str:
+    """Mean and spread over the seeds, a table for each scene."""
+    names = (*FIGURES, "wall_s", "cpu_s")
+    lines: list[str] = []
+    for scene, rows in measured.items():
+        lines += [
+            f"{scene}: {HOLES[scene]}",
+            "",
+            f"| row | seeds | {' | '.join(names)} |",
+            "|---" * (len(names) + 2) + "|",
+        ]
+        for row in (r for r in ROWS if r in rows):
+            cells = [f"{mean(rows[row], n):.3f} ± {spread(rows[row], n):.3f}" for n in names]
+            lines.append(f"| {row} | {len(rows[row])} | {' | '.join(cells)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--statue", type=Path, metavar="FOLDER")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
+    parser.add_argument("--seeds", nargs="+", type=int, default=None, metavar="N")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--work", type=Path, default=None)
+    parser.add_argument("--out", type=Path, default=None)
+    options = parser.parse_args()
+    work = (options.work or (WORK.with_name("bench-joint-quick") if options.quick else WORK)).resolve()
+    out = options.out or (work / "joint.json" if options.quick else RESULTS)
+    seeds = options.seeds or ([SEEDS[0]] if options.quick else SEEDS)
+
+    work.mkdir(parents=True, exist_ok=True)
+    captures = {"demo": (DEMO / "capture", DEMO / "mask.yaml")}
+    if options.statue is not None:
+        captures["statue"] = statue_capture(options.statue, work)
+    kept: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {}
+    measured: Measured = kept.get("measured", {})
+    for scene, (capture, mask) in captures.items():
+        bench = Bench(scene, capture, mask, work, quick=options.quick)
+        rows = measured.setdefault(scene, {})
+        for row in options.rows:
+            for seed in seeds:
+                print(f"{scene}: {row}, seed {seed}", file=sys.stderr, flush=True)
+                figures = bench.measure(row, seed)
+                others = [run for run in rows.get(row, []) if run["seed"] != seed]
+                rows[row] = sorted([*others, figures], key=lambda run: run["seed"])
+                write(out, measured, quick=options.quick)
+    print(table(measured))
+    print(json.dumps(json.loads(out.read_text())["default"], indent=1))
+
+
+def write(out: Path, measured: Measured, *, quick: bool) -> None:
+    """The whole file, with what the rule makes of the rows so far."""
+    best = chosen(measured)
+    result = {
+        "machine": this_machine().model_dump(mode="json"),
+        "quick": quick,
+        "holes": {scene: HOLES[scene] for scene in measured},
+        "rule": RULE,
+        "default": {"row": best, "shortfalls": shortfalls(measured, best) if best else []},
+        "measured": measured,
+    }
+    out.parent.mkdir(parents=True, exist_ok=True)
+    staged = out.with_suffix(".new")
+    staged.write_text(json.dumps(result, indent=1) + "\n")
+    staged.replace(out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""The rows of the table, the holes, and the rule that chooses the default: all fixed before any number was seen."""
+
+import math
+import statistics
+from typing import Any
+
+Parameters = dict[str, Any]
+Figures = dict[str, float]
+
+SEEDS = (0, 1, 2)
+
+BASELINES: dict[str, Parameters] = {
+    "no-prior": {"estimator": "none"},
+    "classical": {"estimator": "classical"},
+    "inpaint-then-nerf": {"estimator": "inpaint-then-nerf"},
+}
+ESTIMATORS: dict[str, Parameters] = {
+    "sds": {"estimator": "sds"},
+    "nfsd": {"estimator": "nfsd"},
+    "sdi": {"estimator": "sdi"},
+    "ism": {"estimator": "ism"},
+    "vsd": {"estimator": "vsd"},
+    "denoised-target": {"estimator": "denoised-target"},
+    "dataset-update": {"estimator": "dataset-update"},
+    "features-nearest": {"estimator": "features", "matching": "nearest"},
+    "features-sliced": {"estimator": "features", "matching": "sliced"},
+}
+# What the preset `paper` says of the optimisation, at the size of field, rays and prior that all rows share.
+PAPER_NAMES = (
+    "estimator", "start", "t_min", "t_width", "diffuse_start", "distill_every", "span_first", "span_last", "steps",
+    "schedule_steps", "learning_rate_steps", "learning_rate_warmup", "near_gradient", "hole", "guidance",
+)  # fmt: skip
+PAPER_ROWS: dict[str, Parameters] = {
+    "paper": {},
+    "paper-without-depth-loss": {"depth_weight": 0.0},
+    "paper-without-diffuse-start": {"diffuse_start": False},
+}
+ROWS = (*BASELINES, *ESTIMATORS, *PAPER_ROWS)
+
+HOLES = {
+    "demo": "the object of examples/demo/mask.yaml; truth is the same room rendered without it",
+    "statue": "a sphere on the middle camera's axis at its median depth, a quarter of that depth in radius; every "
+    "sixth photo is kept from the capture and is the truth",
+}
+STATUE_MASK = "mask: {kind: sphere, distance: 1.0, radius: 0.25}\n"
+TRUTH_EVERY, TRUTH_FIRST = 6, 2
+
+LIVELY = (0.7, 1.3)
+OPAQUE = 0.95
+PSNR_LOSS_DB = 0.3
+RULE = (
+    "Candidates are the estimators, at the default parameters. Those stay whose hole is a surface (mean opacity at "
+    f"least {OPAQUE}) and is neither blurred nor noise (gradient energy {LIVELY[0]} to {LIVELY[1]} of the truth's) on "
+    "every scene; where none does, all stay. Of these the default is the one of least LPIPS, mean over scenes and seeds. "
+    "It is accepted if it meets both bounds, beats each baseline on LPIPS and SSIM by more than the seeds' spread, and "
+    f"loses to none more than {PSNR_LOSS_DB} dB of PSNR, on every scene."
+)
+
+FIGURES = {
+    "psnr": "hole-box-vs-truth", "ssim": "hole-box-vs-truth", "lpips_vgg": "hole-box-vs-truth",
+    "fd_lite0": "hole-box-vs-truth", "kid_lite0": "hole-box-vs-truth", "gradient_share": "hole-only-vs-truth",
+    "opacity_mean": "hole-statistics", "depth_spread": "hole-statistics",
+    "reprojection_hole": "neighbouring-views", "reprojection_known": "neighbouring-views",
+}  # fmt: skip
+
+# scene -> row -> a dictionary of figures for each seed
+Measured = dict[str, dict[str, list[Figures]]]
+
+
+def parameters_of(row: str, paper: Parameters) -> Parameters:
+    """What a row changes; `paper`: the preset's parameters of the joint optimisation."""
+    if row in PAPER_ROWS:
+        return {name: paper[name] for name in PAPER_NAMES} | PAPER_ROWS[row]
+    return (BASELINES | ESTIMATORS)[row]
+
+
+def mean(runs: list[Figures], name: str) -> float:
+    """Over the seeds; NaN where a figure could not be taken."""
+    return statistics.fmean(run.get(name, math.nan) for run in runs)
+
+
+def spread(runs: list[Figures], name: str) -> float:
+    """Standard deviation over the seeds; 0 for one seed."""
+    values = [run.get(name, math.nan) for run in runs]
+    return statistics.stdev(values) if len(values) > 1 else 0.0
+
+
+def is_a_fill(runs: list[Figures]) -> bool:
+    """Whether a hole is a surface, neither blurred nor noise."""
+    return mean(runs, "opacity_mean") >= OPAQUE and LIVELY[0] <= mean(runs, "gradient_share") <= LIVELY[1]
+
+
+def chosen(measured: Measured) -> str | None:
+    """The default by RULE among the estimators that every scene has measured; None where there is none."""
+    candidates = [row for row in ESTIMATORS if measured and all(row in rows for rows in measured.values())]
+    sound = [row for row in candidates if all(is_a_fill(rows[row]) for rows in measured.values())]
+    return min(
+        sound or candidates,
+        key=lambda row: statistics.fmean(mean(rows[row], "lpips_vgg") for rows in measured.values()),
+        default=None,
+    )
+
+
+def shortfalls(measured: Measured, row: str) -> list[str]:
+    """What keeps a row from being accepted by RULE, in words; a baseline that was not measured is one."""
+    found: list[str] = []
+    for scene, rows in measured.items():
+        runs = rows[row]
+        if not is_a_fill(runs):
+            opacity, share = mean(runs, "opacity_mean"), mean(runs, "gradient_share")
+            found.append(f"{scene}: opacity {opacity:.3f}, gradient energy {share:.2f} of the truth's")
+        for baseline in BASELINES:
+            if baseline not in rows:
+                found.append(f"{scene}: {baseline} was not measured")
+                continue
+            for name, sign in (("lpips_vgg", -1), ("ssim", 1)):
+                gain = sign * (mean(runs, name) - mean(rows[baseline], name))
+                noise = max(spread(runs, name), spread(rows[baseline], name))
+                if not gain > noise:
+                    found.append(f"{scene}: {name} is {gain:+.4f} better than {baseline}'s, spread {noise:.4f}")
+            loss = mean(rows[baseline], "psnr") - mean(runs, "psnr")
+            if not loss <= PSNR_LOSS_DB:
+                found.append(f"{scene}: psnr is {loss:.2f} dB under {baseline}'s")
+    return found

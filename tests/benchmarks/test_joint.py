@@ -1,0 +1,73 @@
+"""The rule that chooses the default, on figures made up for it."""
+
+import pytest
+from benchmarks.joint.rows import (
+    BASELINES,
+    ESTIMATORS,
+    ROWS,
+    Figures,
+    Measured,
+    chosen,
+    parameters_of,
+    shortfalls,
+    spread,
+)
+
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.orchestrator.parameters import resolved
+from tests.conftest import REPOSITORY
+
+GOOD: Figures = {"psnr": 24.0, "ssim": 0.7, "lpips_vgg": 0.3, "gradient_share": 1.0, "opacity_mean": 0.99}
+POOR: Figures = GOOD | {"ssim": 0.6, "lpips_vgg": 0.4, "gradient_share": 0.2}
+
+
+def seeds(figures: Figures, **step: float) -> list[Figures]:
+    return [figures | {name: figures[name] + k * by for name, by in step.items()} for k in (-1, 0, 1)]
+
+
+def measured(**rows: list[Figures]) -> Measured:
+    return {"demo": {name: seeds(POOR) for name in BASELINES} | {n.replace("_", "-"): r for n, r in rows.items()}}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_every_row_has_valid_parameters(row):
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
+    changes = parameters_of(row, pipeline.parameters("joint-optimization", "paper"))
+    assert changes.items() <= resolved(pipeline, "joint-optimization", changes).items()
+
+
+def test_blur_is_not_a_fill_however_small_its_lpips():
+    blurred = seeds(GOOD | {"lpips_vgg": 0.1, "gradient_share": 0.5})
+    assert chosen(measured(sds=blurred, ism=seeds(GOOD))) == "ism"
+    fog = seeds(GOOD | {"lpips_vgg": 0.1, "opacity_mean": 0.9})
+    assert chosen(measured(sds=fog, ism=seeds(GOOD))) == "ism"
+    # Where none is a fill, the least LPIPS is taken and its shortfall told.
+    assert chosen(measured(sds=blurred)) == "sds"
+    assert "gradient energy 0.50" in shortfalls(measured(sds=blurred), "sds")[0]
+
+
+def test_a_row_that_one_scene_lacks_is_no_candidate():
+    both = {"demo": measured(sds=seeds(POOR), ism=seeds(GOOD))["demo"], "statue": measured(sds=seeds(POOR))["demo"]}
+    assert chosen(both) == "sds"
+    assert chosen({}) is None
+
+
+def test_a_gain_within_the_seeds_spread_does_not_count():
+    assert shortfalls(measured(sds=seeds(GOOD)), "sds") == []
+    noisy = seeds(GOOD, lpips_vgg=0.2)
+    assert spread(noisy, "lpips_vgg") == pytest.approx(0.2)
+    assert [s.split()[1] for s in shortfalls(measured(sds=noisy), "sds")] == ["lpips_vgg"] * len(BASELINES)
+    dark = seeds(GOOD | {"psnr": POOR["psnr"] - 0.4})
+    assert all("0.40 dB under" in s for s in shortfalls(measured(sds=dark), "sds"))
+    few = measured(sds=seeds(GOOD))
+    del few["demo"]["classical"]
+    assert shortfalls(few, "sds") == ["demo: classical was not measured"]
+
+
+def test_the_paper_s_rows_take_its_schedule_and_leave_the_sizes_alone():
+    paper = Pipeline(REPOSITORY / "pipeline.yaml").parameters("joint-optimization", "paper")
+    row = parameters_of("paper", paper)
+    assert (row["t_min"], row["schedule_steps"], row["guidance"]) == (0.2, 2200, 8.0)
+    assert not {"rays", "architecture", "depth_patch_size"} & row.keys()
+    assert parameters_of("paper-without-depth-loss", paper) == row | {"depth_weight": 0.0}
+    assert set(ESTIMATORS) & set(BASELINES) == set()
