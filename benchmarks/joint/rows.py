@@ -51,9 +51,9 @@ PSNR_LOSS_DB = 0.3
 RULE = (
     "Candidates are the estimators, at the default parameters. Those stay whose hole is a surface (mean opacity at "
     f"least {OPAQUE}) and is neither blurred nor noise (gradient energy {LIVELY[0]} to {LIVELY[1]} of the truth's) on "
-    "every scene; where none does, all stay. Of these the default is the one of least LPIPS, mean over scenes and seeds. "
-    "It is accepted if it meets both bounds, beats each baseline on LPIPS and SSIM by more than the seeds' spread, and "
-    f"loses to none more than {PSNR_LOSS_DB} dB of PSNR, on every scene."
+    "every scene; where none does, all stay. Of these the default is the one of least LPIPS, mean over scenes and "
+    "seeds. It is accepted if it meets both bounds, beats each baseline on LPIPS and SSIM by more than the seeds' "
+    f"spread, and loses to none more than {PSNR_LOSS_DB} dB of PSNR, on every scene."
 )
 
 FIGURES = {

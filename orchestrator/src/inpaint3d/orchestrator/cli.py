@@ -7,7 +7,7 @@ Exit codes are those of `inpaint3d.contracts.errors`: 0 done, 2 configuration, 3
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -19,6 +19,7 @@ from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store
 from inpaint3d.orchestrator import housekeeping
+from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, figures_of, scenes_in, table_of
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import take_artifact, take_capture, take_mask_request
 from inpaint3d.orchestrator.parameters import parse_overrides
@@ -36,7 +37,7 @@ RunsPath = Annotated[
 Name = Annotated[str | None, typer.Option(help="name of the run; default: the capture's folder name")]
 Capture = Annotated[Path, typer.Argument(help="a folder of photos, a data set, or a video file")]
 Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: masks that came with the capture")]
-Preset = Annotated[str | None, typer.Option(help="draft, standard, high or paper; default: the pipeline's")]
+Preset = Annotated[str | None, typer.Option(help="draft, standard, high, paper or spin-nerf; default: the pipeline's")]
 Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, may be repeated")]
 Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of CAPTURE; may be repeated: one run each")]
 Only = Annotated[str | None, typer.Option(help="run this stage alone")]
@@ -163,15 +164,79 @@ def run(
             path, store=opened, pipeline=checked, name=scene_name, mask=mask, preset=preset, assignments=assignments,
             prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
         )  # fmt: skip
-        selection = Selection(only=only, start=start, until=until, force=force)
-        folder = runs_dir / planner.name
-        scheduler = Scheduler(planner, selection, display_for(log_format, checked.order), folder)
-        record = scheduler.run()
-        publish(opened, record, folder)
-        codes.append(_conclude(record, folder))
+        record, code = _carry_out(
+            planner, Selection(only=only, start=start, until=until, force=force), runs_dir / planner.name, log_format
+        )
+        codes.append(code)
         if record.status == "stopped":
             break  # whoever stopped this scene meant the others too
     raise typer.Exit(max(codes))
+
+
+@app.command("evaluate-dataset")
+def evaluate_dataset(
+    dataset: Annotated[str, typer.Argument(help=f"one of {', '.join(DATASETS)}")],
+    folder: Annotated[Path, typer.Argument(help="folder of the data set's scenes, one subfolder each")],
+    preset: Preset = None,
+    scene: Scene = None,
+    assignments: Set = None,
+    prior: Prior = None,
+    corpus: Corpus = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    stub: Stub = False,
+    store: StorePath = STORE,
+    runs_dir: RunsPath = RUNS,
+    pipeline: PipelinePath = None,
+    log_format: LogFormat = "auto",
+) -> None:
+    """Run every scene of a data set under its preset, and print its table beside the published one.
+
+    The table is also written to DATASET.json below --runs-dir. A scene that fails is left out of the means and decides
+    the exit code; the others are run all the same.
+    """
+    if dataset not in DATASETS:
+        raise ConfigurationError(f"no data set {dataset}; there are {', '.join(DATASETS)}")
+    known, found = DATASETS[dataset], scenes_in(DATASETS[dataset], folder, scene)
+    checked, opened = Pipeline(find_pipeline(pipeline)), Store(store)
+    scores: list[SceneScore] = []
+    codes: list[int] = []
+    for path in found:
+        planner = _planner(
+            path, store=opened, pipeline=checked, name=f"{dataset}-{path.name}", mask=None,
+            preset=preset or known.preset, assignments=assignments, prior=prior, corpus=corpus, seed=seed,
+            device=device, stub=stub,
+        )  # fmt: skip
+        record, code = _carry_out(planner, Selection(), runs_dir / planner.name, log_format)
+        codes.append(code)
+        done = code == 0
+        scores.append(figures_of(path.name, read_report(runs_dir / planner.name)) if done else SceneScore(path.name))
+        if record.status == "stopped":
+            break
+    table = table_of(known, scores)
+    (runs_dir / f"{dataset}.json").write_text(json.dumps(table, indent=2) + "\n")
+    _show_table(table)
+    raise typer.Exit(max(codes))
+
+
+def _show_table(table: dict[str, Any]) -> None:
+    """The rows of `table_of`, and under them how each scene was scored."""
+    shown = Table("scene", "method", "views", *table["metrics"], box=None)
+    for row in (*table["scenes"], table["mean"], *table["published"]):
+        values = ["" if (v := row["figures"].get(name)) is None else f"{v:.4g}" for name in table["metrics"]]
+        views = "" if row.get("views") is None else str(row["views"])
+        shown.add_row(row["name"], row.get("method") or "", views, *values)
+    Console(width=140).print(shown)
+    for row in table["scenes"]:
+        sys.stdout.write(f"\n{row['name']}: {row['protocol'] or 'failed; see above'}\n")
+
+
+def _carry_out(planner: Planner, selection: Selection, folder: Path, log_format: str) -> tuple[RunRecord, int]:
+    """Run, leave results in the folder, say how it ended; the record and the exit code."""
+    scheduler = Scheduler(planner, selection, display_for(log_format, planner.pipeline.order), folder)
+    record = scheduler.run()
+    publish(planner.store, record, folder)
+    return record, _conclude(record, folder)
 
 
 def _conclude(record: RunRecord, folder: Path) -> int:
