@@ -1,0 +1,116 @@
+"""Rows S6 to S10 in the loop itself: which count from the start of distillation, and which on the global step."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from inpaint3d.contracts.context import Inputs
+from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.store import Store
+from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.guidance import PriorGuide
+from inpaint3d.stages.joint_optimization.loop import Problem
+from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.patches import Window, centre_views
+from inpaint3d.stages.joint_optimization.run import pose
+from inpaint3d.stages.joint_optimization.scene import distillable
+
+TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
+# Four steps of reconstruction first; everything that anneals has its own length.
+PARAMETERS = TINY | {
+    "steps": 40, "schedule_steps": 80, "warmup_steps": 4, "weight_warmup": 10, "centre_steps": 6, "centre_views": 1,
+    "t_min": 0.2, "t_width": 0.2, "diffuse_start": True,
+}  # fmt: skip
+Make = Callable[..., Problem]
+
+
+class Noting(PriorGuide):
+    """Notes which window it is asked about."""
+
+    def gradient(
+        self,
+        patch: torch.Tensor,
+        hole: torch.Tensor,
+        window: Window,
+        timesteps: tuple[float, float],
+        generator: torch.Generator,
+    ) -> tuple[torch.Tensor, float]:
+        self.asked = window
+        return super().gradient(patch, hole, window, timesteps, generator)
+
+
+@pytest.fixture
+def posed(store: Store, inputs: Callable[..., dict[str, Any]]) -> Make:
+    def make(**parameters: Any) -> Problem:
+        config = Config.model_validate(PARAMETERS | parameters)
+        spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
+        problem, _ = pose(config, Inputs(store, spec, inputs()), 0, "cpu")
+        assert isinstance(problem.guide, PriorGuide)
+        return replace(problem, guide=Noting(problem.guide.prior, "sds", 1.0, 1))
+
+    return make
+
+
+def figures(problem: Problem, step: int) -> dict[str, float]:
+    return problem.terms(step, Ranks())[1]
+
+
+def test_the_first_steps_only_reconstruct(posed: Make) -> None:
+    """S7; a field that is not fresh is distilled at once."""
+    problem = posed()
+    assert [figures(problem, step) == {} for step in (0, 3, 4)] == [True, True, False]
+    assert "distillation" not in problem.terms(3, Ranks())[0]
+    assert figures(replace(problem, fresh=False), 0) != {}
+
+
+def test_the_weight_rises_from_the_start_of_distillation(posed: Make) -> None:
+    """S6: nothing at step 4, half at step 9, all from step 14 on."""
+    problem = posed()
+    assert [figures(problem, step)["weight"] for step in (4, 9, 14, 30)] == pytest.approx([0.0, 0.05, 0.1, 0.1])
+    assert figures(replace(problem, fresh=False), 5)["weight"] == pytest.approx(0.05)
+
+
+def test_centre_views_come_first_from_the_start_of_distillation(posed: Make) -> None:
+    """S8: steps 4 to 9 look at the one centre view; on the global step only 4 and 5 would."""
+    problem = posed()
+    shown = problem.to_fill
+    seen = distillable(shown)
+    centres = np.stack([shown[i].camera.centre for i in seen])
+    (medoid,) = centre_views(centres, np.array([shown[i].hole_share for i in seen]), 1)
+
+    def view_at(step: int) -> int:
+        figures(problem, step)
+        assert isinstance(problem.guide, Noting)
+        return problem.guide.asked.view
+
+    assert {view_at(step) for step in range(4, 10)} == {seen[medoid]}
+    assert len({view_at(step) for step in range(10, 26)}) > 1
+
+
+def test_noise_levels_and_specular_colour_follow_the_global_step(posed: Make) -> None:
+    """S9: eta = 0.95 (1 - s / S) at step s, not at s - 4. S10: specular colour grows over the first S / 2 steps."""
+    problem = posed()
+    for step in (4, 20, 39):
+        found = figures(problem, step)
+        assert found["t_high"] == pytest.approx(0.95 * (1 - step / 80))
+        assert found["t_low"] == pytest.approx(found["t_high"] - 0.2)
+        assert found["t_low"] <= found["t"] <= found["t_high"]
+        assert found["specular_scale"] == pytest.approx(step / 40)
+    floored = figures(posed(schedule_steps=40), 39)
+    assert (floored["t_low"], floored["t_high"], floored["t_floored"]) == (0.02, 0.2, 1.0)
+
+
+def test_a_step_depends_on_its_seed_step_and_rank_alone(posed: Make) -> None:
+    """Asked twice, or after others, a step gives the same; another rank or step another patch (S3, S12)."""
+    problem = posed()
+    first = figures(problem, 12)
+    figures(problem, 13)
+    assert figures(problem, 12) == first
+    drawn = [problem.terms(step, Ranks(rank, 2))[1]["t"] for step in (12, 13) for rank in (0, 1)]
+    assert len(set(drawn)) == 4
