@@ -8,6 +8,7 @@ default stand in rows.py.
 
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
 its checkpoint, and the file is written after every row. Pictures of each row lie in --work/pictures, to be looked at.
+Figures of rows that are not asked for stay as they were; each has the key of the run that it is of.
 
 --statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
 small budget and one seed, to see that it works; its figures mean nothing.
@@ -184,6 +185,8 @@ def main() -> None:
     if options.statue is not None:
         captures["statue"] = statue_capture(options.statue, work)
     kept: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {}
+    if kept.get("quick", options.quick) != options.quick:
+        raise SystemExit(f"{out} is of a run {'with' if kept['quick'] else 'without'} --quick; give another --out")
     measured: Measured = kept.get("measured", {})
     for scene, (capture, mask) in captures.items():
         bench = Bench(scene, capture, mask, work, quick=options.quick)

@@ -92,7 +92,7 @@ class PictureGuide:
         pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
         made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
         (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
-        return gradient * hole[..., None], float("nan")
+        return gradient, float("nan")
 
     def state(self) -> dict[str, Tensor]:
         return {}
