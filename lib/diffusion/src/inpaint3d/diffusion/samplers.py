@@ -61,21 +61,6 @@ def ddim(
     return z
 
 
-def ddim_inversion(
-    predict: Predict, x: Float[Tensor, "b c h w"], times: Float[Tensor, "n *b"]
-) -> Float[Tensor, "b c h w"]:
-    """The z at times[0] from which `ddim` over the same times leads to x (arXiv:2010.02502, section 4.3).
-
-    The noise of a step is asked for at its less noisy end, which is all that is known of it: first order, like `ddim`.
-    """
-    z = x
-    for t, s in reversed(_pairs(times, x)):
-        a_t, s_t, a_s, s_s = _levels(t, s)
-        noise = predict(z, s)
-        z = a_t * _clean(noise, z, a_s, s_s, None) + s_t * noise
-    return z
-
-
 def dpm_solver(
     predict: Predict, z: Float[Tensor, "b c h w"], times: Float[Tensor, "n *b"], *, clip: float | None = None
 ) -> Float[Tensor, "b c h w"]:

@@ -65,7 +65,7 @@ def sampled_views(
             steps=steps,
             generator=torch.Generator().manual_seed(seed),
             guidance=guidance,
-            ancestral=True,
+            sampler="ddpm",
         )
         pictures.append((made[0].permute(1, 2, 0) + 1) / 2)
     return pictures
