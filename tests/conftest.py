@@ -9,6 +9,10 @@ from typing import Any
 
 import pytest
 
+from tests.s3 import bucket, network
+
+__all__ = ["bucket", "network"]
+
 REPOSITORY = Path(__file__).parents[1]
 
 
@@ -17,13 +21,15 @@ class Cli:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.store, self.runs = folder / "store", folder / "runs"
+        self.store: Path | str = folder / "store"
+        self.runs = folder / "runs"
 
     def command(self, *arguments: str) -> list[str]:
         return [str(Path(sys.executable).parent / "inpaint3d"), *arguments]
 
     def environment(self) -> dict[str, str]:
-        return {**os.environ, "INPAINT3D_STORE": str(self.store), "INPAINT3D_RUNS": str(self.runs)}
+        places = {"STORE": self.store, "RUNS": self.runs, "CACHE": self.folder / "cache"}
+        return {**os.environ, **{f"INPAINT3D_{name}": str(place) for name, place in places.items()}}
 
     def __call__(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

@@ -1,6 +1,7 @@
 """The whole DAG with stubs: scheduling, keys, reasons and results, in seconds and without numeric work."""
 
 import json
+import shutil
 
 import jsonschema
 import pytest
@@ -96,6 +97,23 @@ def test_a_damaged_artifact_is_found_and_computed_again(ran):
     assert cli(*arguments).returncode == 0
     assert {n for n, s in cli.statuses().items() if s == "done"} == {"scene-analysis"}
     assert cli("verify").returncode == 0
+
+
+def test_a_bucket_serves_as_the_store(cli, capture, bucket, tmp_path):
+    """Stages, results, history and housekeeping, with nothing kept on this machine but a cache that may be lost."""
+    cli.store = bucket
+    (tmp_path / "mask.yaml").write_text(MASK)
+    arguments = ("run", str(capture), "--stub", "--mask", str(tmp_path / "mask.yaml"))
+    first = cli(*arguments)
+    assert first.returncode == 0, first.stderr + first.stdout
+    assert {"report.html", "scene.usdz", "metrics.json"} <= {p.name for p in (cli.runs / "tiny").iterdir()}
+    shutil.rmtree(tmp_path / "cache")
+    assert "nothing to be done" in cli(*arguments).stderr
+    assert len(json.loads(cli("runs", "--json").stdout)) == 2
+    assert cli("lineage", "tiny").stdout.startswith("usd-export@")
+    assert cli("gc").returncode == 0
+    assert cli("verify").returncode == 0
+    assert "nothing to be done" in cli(*arguments).stderr
 
 
 def test_lineage_leads_back_to_the_photos_and_gc_keeps_what_is_needed(ran):

@@ -1,25 +1,41 @@
+"""What every store holds, be it a folder or a bucket; then what is a folder's alone (`test_bucket.py`: a bucket's)."""
+
 import json
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
 from inpaint3d.contracts.artifacts import Effect, EffectPlan, Source
-from inpaint3d.contracts.errors import ArtifactError, StorageError, from_os_error
-from inpaint3d.contracts.manifest import MANIFEST
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.bucket import BucketStore
+from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, StorageError, from_os_error
+from inpaint3d.contracts.manifest import MANIFEST, Manifest, read_metadata
+from inpaint3d.contracts.store import Record, Store, key_path, object_file, open_store
 
 PLAN = EffectPlan(
     effects=(Effect(name="exposure", state="off", evidence={"ev": 0.01}, reason="still", cost_ratio=1.0),)
 )
 
 
+@pytest.fixture(params=["folder", "bucket"])
+def store(request, tmp_path):
+    if request.param == "folder":
+        return Store(tmp_path / "store")
+    return BucketStore(request.getfixturevalue("bucket"), tmp_path / "cache")
+
+
 @pytest.fixture
-def store(tmp_path):
+def folder_store(tmp_path):
     return Store(tmp_path / "store")
+
+
+def elsewhere(store, tmp_path, name="another machine"):
+    """The same store, as another machine sees it."""
+    return BucketStore(store.place, tmp_path / name) if isinstance(store, BucketStore) else Store(store.root)
 
 
 def put(store, text="hello"):
@@ -47,7 +63,7 @@ def test_what_is_put_can_be_opened_and_is_the_same(store):
 def test_equal_content_has_one_digest_and_one_folder(store):
     assert put(store) == put(store)
     assert put(store) != put(store, "other")
-    assert len(list((store.root / "objects").iterdir())) == 2
+    assert len(list(store.objects())) == 2
     assert list((store.root / "tmp").iterdir()) == []
 
 
@@ -65,40 +81,99 @@ def test_a_file_that_metadata_names_must_be_there(store):
 
 
 @pytest.mark.parametrize("harm", ["flip", "truncate", "remove", "add", "manifest"])
-def test_damage_is_found_quarantined_and_named(store, harm):
+def test_damage_is_found_quarantined_and_named(store, tmp_path, harm):
     digest = put(store)
-    root = store.object_path(digest)
-    file = root / "raw" / "a.txt"
-    file.chmod(0o644)
-    (root / MANIFEST).chmod(0o644)
+    file, manifest = object_file(digest, "raw/a.txt"), object_file(digest, MANIFEST)
     if harm == "flip":
-        file.write_text("hellO")
+        store.write(file, b"hellO")
     elif harm == "truncate":
-        file.write_text("h")
+        store.write(file, b"h")
     elif harm == "remove":
-        file.unlink()
+        store.remove(file)
     elif harm == "add":
-        (root / "extra").write_text("")
+        store.write(object_file(digest, "extra"), b"")
     else:
-        (root / MANIFEST).write_text((root / MANIFEST).read_text().replace('"a"', '"b"'))
-    assert store.damage(digest) is not None
+        store.write(manifest, store.read(manifest).replace(b'"a"', b'"b"'))
+    reader = elsewhere(store, tmp_path)
+    assert reader.damage(digest) is not None
     with pytest.raises(ArtifactError, match="quarantine"):
-        store.open(digest, Source)
-    assert not root.exists()
-    assert len(list((store.root / "quarantine").iterdir())) == 1
+        reader.open(digest, Source)
+    assert not store.present(digest)
+    assert len(store.names("quarantine")) == 1
+    assert put(store) == digest
+    assert elsewhere(store, tmp_path).open(digest, Source).path("raw/a.txt").read_text() == "hello"
 
 
-def test_a_damaged_output_makes_its_key_unknown_again(store):
+def test_a_damaged_output_makes_its_key_unknown_again(store, tmp_path):
+    """A folder notices when the key is looked up, a bucket at the latest when the bytes are read."""
     digest = put(store)
     store.commit(record(KEY, source=digest))
     assert store.lookup(KEY) is not None
-    file = store.object_path(digest) / "raw" / "a.txt"
-    file.chmod(0o644)
-    file.write_text("hellO")
-    assert store.lookup(KEY) is None
-    put(store)
-    store.commit(record(KEY, source=digest))
+    store.write(object_file(digest, "raw/a.txt"), b"hellO")
+    reader = elsewhere(store, tmp_path)
+    if isinstance(store, BucketStore):
+        with pytest.raises(ArtifactError, match="sha256 differs"):
+            reader.open(digest, Source)
+    assert reader.lookup(KEY) is None
+    put(reader)
+    reader.commit(record(KEY, source=digest))
     assert store.lookup(KEY).outputs == {"source": digest}
+
+
+def test_a_result_whose_artifact_lost_a_file_is_computed_again(store):
+    digest = put(store)
+    store.commit(record(KEY, source=digest))
+    store.remove(object_file(digest, "raw/a.txt"))
+    assert store.lookup(KEY) is None
+    assert not store.present(digest)
+
+
+def test_of_eight_writers_of_a_key_one_wins_and_all_get_its_result(store, tmp_path):
+    writers = [elsewhere(store, tmp_path, str(i)) for i in range(8)]
+    ready, got = threading.Barrier(8), {}
+
+    def compute(i):
+        digest = put(writers[i], f"result of {i}")
+        ready.wait()
+        got[i] = writers[i].commit(record(KEY, source=digest)).outputs["source"]
+
+    threads = [threading.Thread(target=compute, args=(i,)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(got) == 8
+    (winner,) = set(got.values())
+    assert store.lookup(KEY).outputs == {"source": winner}
+    assert len(list(store.records())) == 1
+    assert store.damage(winner) is None
+
+
+def test_documents_are_written_whole_listed_and_retired(store):
+    assert store.read("runs/a/1.json") is None
+    assert store.names("runs") == []
+    store.write("runs/a/1.json", b"1")
+    store.write("runs/a/1.json", b"2")
+    store.write("runs/b/1.json", b"3")
+    assert store.read("runs/a/1.json") == b"2"
+    assert (store.names("runs"), store.names("runs/a")) == (["a", "b"], ["1.json"])
+    assert not store.create("runs/a/1.json", b"4")
+    store.retire("runs/a/1.json")
+    assert store.create("runs/a/1.json", b"5")
+    store.remove("runs/a/1.json")
+    store.remove("runs/a/1.json")
+    store.retire("runs/a/1.json")
+    assert store.names("runs/a") == []
+
+
+def test_an_artifact_can_be_weighed_and_dropped(store):
+    digest = put(store)
+    assert store.size(digest) == len(b"hello") + len(store.read(object_file(digest, MANIFEST)))
+    store.drop_object(digest)
+    assert list(store.objects()) == []
+    assert not store.whole(digest)
+    with pytest.raises(ArtifactError, match="is not in the store"):
+        store.manifest(digest)
 
 
 def test_first_commit_of_a_key_wins(store):
@@ -110,19 +185,18 @@ def test_first_commit_of_a_key_wins(store):
 
 
 def test_torn_key_file_counts_as_nothing(store):
-    store.record_path(KEY).write_text('{"key": "sha2')
+    store.write(key_path(KEY), b'{"key": "sha2')
+    assert list(store.records()) == []
     assert store.lookup(KEY) is None
-    assert not store.record_path(KEY).exists()
+    assert store.read(key_path(KEY)) is None
 
 
 def test_newer_minor_is_read_without_the_fields_we_do_not_know(store):
     digest = store.put(store.private_folder(), "effect-plan", PLAN)
-    manifest = json.loads((store.object_path(digest) / MANIFEST).read_text())
+    manifest = json.loads(store.read(object_file(digest, MANIFEST)))
     manifest["metadata"]["effects"][0]["novelty"] = 3
     for schema, readable in (("effect-plan@1.7", True), ("effect-plan@1.0", False)):
         manifest["schema"] = schema
-        from inpaint3d.contracts.manifest import Manifest, read_metadata
-
         parsed = Manifest.model_validate(manifest)
         if readable:
             assert read_metadata(parsed, EffectPlan) == PLAN
@@ -144,25 +218,26 @@ def _hold(root: str, ready) -> None:
         time.sleep(60)
 
 
-def test_lock_dies_with_its_holder(store):
+def test_lock_dies_with_its_holder(folder_store):
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
-    holder = context.Process(target=_hold, args=(str(store.root), ready))
+    holder = context.Process(target=_hold, args=(str(folder_store.root), ready))
     holder.start()
     assert ready.wait(30)
     os.kill(holder.pid, signal.SIGKILL)
     holder.join()
-    with store.lock("k"):
+    with folder_store.lock("k"):
         pass
 
 
-def test_private_folders_of_dead_processes_are_swept(store):
-    mine = store.private_folder()
-    dead = store.root / "tmp" / "999999999-x"
-    dead.mkdir()
-    store.sweep_tmp()
+def test_private_folders_of_dead_processes_are_swept(folder_store):
+    mine = folder_store.private_folder()
+    dead = [folder_store.root / "tmp" / f"999999999-{x}" for x in "xy"]
+    dead[0].mkdir()
+    dead[1].touch()
+    folder_store.sweep_tmp()
     assert mine.is_dir()
-    assert not dead.exists()
+    assert not any(p.exists() for p in dead)
 
 
 def test_adopted_artifact_is_checked(store, tmp_path):
@@ -175,3 +250,9 @@ def test_adopted_artifact_is_checked(store, tmp_path):
     file.write_text("hellO")
     with pytest.raises(ArtifactError, match="damaged"):
         Store(tmp_path / "third").adopt(store.object_path(digest), manifest)
+
+
+@pytest.mark.parametrize("place", ["gs://bucket/a", "s3://", "s3://me:secret@bucket/a"])
+def test_a_place_that_is_no_store_is_a_configuration_error(place):
+    with pytest.raises(ConfigurationError, match="s3://BUCKET/PREFIX"):
+        open_store(place)

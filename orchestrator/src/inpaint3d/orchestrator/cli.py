@@ -17,7 +17,7 @@ from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.report import NodeRun, RunRecord
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import housekeeping
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, figures_of, scenes_in, table_of
 from inpaint3d.orchestrator.history import History
@@ -30,7 +30,10 @@ from inpaint3d.orchestrator.run import Scheduler
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
 
-StorePath = Annotated[Path, typer.Option("--store", envvar="INPAINT3D_STORE", help="where artifacts are kept")]
+StorePath = Annotated[
+    str,
+    typer.Option("--store", envvar="INPAINT3D_STORE", help="where artifacts are kept: a folder, or s3://BUCKET/PREFIX"),
+]
 RunsPath = Annotated[
     Path, typer.Option("--runs-dir", envvar="INPAINT3D_RUNS", help="where results are left to look at")
 ]
@@ -56,7 +59,7 @@ Prior = Annotated[Path | None, typer.Option(help="folder of a diffusion-prior ar
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
 AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 
-STORE = Path(".inpaint3d/store")
+STORE = ".inpaint3d/store"
 RUNS = Path("runs")
 
 
@@ -157,7 +160,7 @@ def run(
     log_format: LogFormat = "auto",
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
-    checked, opened = Pipeline(find_pipeline(pipeline)), Store(store)
+    checked, opened = Pipeline(find_pipeline(pipeline)), open_store(store)
     codes: list[int] = []
     for path, scene_name in _scenes(capture, scene, name):
         planner = _planner(
@@ -279,8 +282,8 @@ def plan(
 ) -> None:
     """Say what `run` would do and why, stage by stage, without doing it."""
     planner = _planner(
-        capture, store=Store(store), pipeline=Pipeline(find_pipeline(pipeline)), name=name, mask=mask, preset=preset,
-        assignments=assignments, prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
+        capture, store=open_store(store), pipeline=Pipeline(find_pipeline(pipeline)), name=name, mask=mask,
+        preset=preset, assignments=assignments, prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
     )  # fmt: skip
     _show_nodes(preview(planner, Selection(only=only, start=start, until=until, force=force)), as_json=as_json)
 
@@ -288,7 +291,7 @@ def plan(
 @app.command()
 def why(name: str, stage: str, store: StorePath = STORE) -> None:
     """Say why a stage ran, or did not, in the last run of NAME: which part of its key changed, old -> new."""
-    record = History(Store(store)).latest(name)
+    record = History(open_store(store)).latest(name)
     found = [n for n in record.nodes if n.node == stage]
     if not found:
         raise ConfigurationError(f"no stage {stage} in {name}; there are {', '.join(n.node for n in record.nodes)}")
@@ -302,7 +305,7 @@ def why(name: str, stage: str, store: StorePath = STORE) -> None:
 @app.command()
 def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
     """List the runs that the store remembers, the newest of each name first."""
-    history = History(Store(store))
+    history = History(open_store(store))
     records = [r for name in history.names() for r in history.of(name)]
     if as_json:
         sys.stdout.write(json.dumps([r.model_dump(mode="json", exclude={"nodes"}) for r in records], indent=2) + "\n")
@@ -319,13 +322,13 @@ def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
 def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:
     """Print a run's metrics, stages and times; with --json, its metrics.json."""
     if not (runs_dir / name / "metrics.json").is_file():
-        History(Store(store)).latest(name)  # says which names there are
+        History(open_store(store)).latest(name)  # says which names there are
         raise ConfigurationError(f"{runs_dir / name} holds no results; run it again, or give its --runs-dir")
     report = read_report(runs_dir / name)
     if as_json:
         sys.stdout.write(json.dumps(report, indent=2) + "\n")
         return
-    _show_nodes(list(History(Store(store)).latest(name).nodes), as_json=False)
+    _show_nodes(list(History(open_store(store)).latest(name).nodes), as_json=False)
     for protocol in report["protocols"]:
         sys.stdout.write(f"\n{protocol['name']}: {protocol['description']}\n")
         table = Table("method", "metric", "value", "unit", "better", "views", box=None)
@@ -350,7 +353,7 @@ def _show_nodes(nodes: list[NodeRun], *, as_json: bool) -> None:
 @app.command()
 def verify(store: StorePath = STORE) -> None:
     """Hash every artifact in the store; bad ones are put in quarantine and will be computed again."""
-    damaged = housekeeping.verify(Store(store))
+    damaged = housekeeping.verify(open_store(store))
     for line in damaged:
         sys.stdout.write(line + "\n")
     sys.stderr.write(f"{len(damaged)} damaged artifacts\n")
@@ -364,7 +367,7 @@ def gc(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what would go")] = False,
 ) -> None:
     """Remove what no kept run needs: old artifacts, keys, checkpoints, quarantine."""
-    freed, count = housekeeping.collect(Store(store), keep=keep, dry_run=dry_run)
+    freed, count = housekeeping.collect(open_store(store), keep=keep, dry_run=dry_run)
     verb = "would free" if dry_run else "freed"
     sys.stdout.write(f"{verb} {freed / 2**20:.1f} MiB in {count} artifacts\n")
 
@@ -372,7 +375,7 @@ def gc(
 @app.command()
 def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> None:
     """Print what a stage's result in the last run of NAME was made from, back to the photos."""
-    opened = Store(store)
+    opened = open_store(store)
     for line in housekeeping.lineage(opened, History(opened).latest(name), stage):
         sys.stdout.write(line + "\n")
 

@@ -16,23 +16,19 @@ class History:
     """The runs that a store remembers."""
 
     def __init__(self, store: Store) -> None:
-        self.root = store.root / "runs"
+        self._store = store
 
     def save(self, record: RunRecord) -> None:
-        folder = self.root / record.name
-        folder.mkdir(parents=True, exist_ok=True)
-        staged = folder / f".{record.id}.new"
-        staged.write_text(record.model_dump_json(indent=1))
-        staged.replace(folder / f"{record.id}.json")
+        self._store.write(f"runs/{record.name}/{record.id}.json", record.model_dump_json(indent=1).encode())
 
     def names(self) -> list[str]:
-        return sorted(p.name for p in self.root.iterdir() if p.is_dir()) if self.root.is_dir() else []
+        return self._store.names("runs")
 
     def of(self, name: str) -> Iterator[RunRecord]:
         """The runs of a name, the newest first."""
-        for path in sorted((self.root / name).glob("*.json"), reverse=True):
+        for file in reversed(self._store.names(f"runs/{name}")):
             try:
-                yield RunRecord.model_validate_json(path.read_bytes())
+                yield RunRecord.model_validate_json(self._store.read(f"runs/{name}/{file}") or b"")
             except ValidationError:  # written by another version; not this one's to read
                 continue
 

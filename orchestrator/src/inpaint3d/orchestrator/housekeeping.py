@@ -7,15 +7,14 @@ from typing import Any
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.report import RunRecord
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.store import Record, Store, key_path
 from inpaint3d.orchestrator.history import History
 
 
 def verify(store: Store) -> list[str]:
     """Hash every object; what is damaged goes to quarantine. Returns one line for each."""
     lines: list[str] = []
-    for path in sorted((store.root / "objects").iterdir()):
-        digest = f"sha256:{path.name}"
+    for digest in store.objects():
         if (damage := store.damage(digest)) is not None:
             store.quarantine(digest)
             lines.append(damage)
@@ -28,17 +27,19 @@ def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
     Returns bytes and artifacts freed.
     """
     keys, objects = _needed(store, keep)
-    gone = [p for p in (store.root / "objects").iterdir() if f"sha256:{p.name}" not in objects]
+    gone = [d for d in store.objects() if d not in objects]
     stale = [r.key for r in store.records() if r.key not in keys]
     # The checkpoints of a stage that is running now are no litter.
     litter = [p for p in (store.root / "work").iterdir() if not store.locked(p.name)]
     litter += (store.root / "quarantine").iterdir()
-    freed = sum(_size(p) for p in (*gone, *litter))
+    freed = sum(map(store.size, gone)) + sum(map(_size, litter))
     if not dry_run:
         store.sweep_tmp()
         for key in stale:  # keys first: a kill in between leaves no key without its objects
-            store.record_path(key).unlink()
-        for path in (*gone, *litter):
+            store.remove(key_path(key))
+        for digest in gone:
+            store.drop_object(digest)
+        for path in litter:
             shutil.rmtree(path)
     return freed, len(gone)
 

@@ -22,7 +22,7 @@ def take_capture(store: Store, path: Path) -> Digest:
     visible = [e for e in entries if not any(part.startswith(".") for part in e.path.split("/"))]
     files = tuple(e.model_copy(update={"path": f"raw/{e.path}"}) for e in visible)
     manifest = Manifest(schema=schema_id("source"), files=files, metadata=metadata.model_dump(mode="json"))
-    if store.damage(manifest.digest) is None:
+    if store.whole(manifest.digest):
         return manifest.digest
     folder = store.private_folder()
     for entry in visible:
@@ -45,7 +45,7 @@ def take_artifact(store: Store, path: Path, schema: str) -> Digest:
     manifest = Manifest.model_validate_json((path / MANIFEST).read_bytes())
     if not compatible(manifest.schema_id, schema):
         raise ArtifactError(f"{path} is {manifest.schema_id}, but {schema} is wanted here")
-    if store.damage(manifest.digest) is None:
+    if store.whole(manifest.digest):
         return manifest.digest
     store.adopt(path, manifest)
     return manifest.digest

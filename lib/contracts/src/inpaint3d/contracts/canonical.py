@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,15 @@ def digest_of(value: Any) -> str:
 
 def file_digest(path: Path) -> str:
     """`sha256:…` of a file's bytes."""
-    sha = hashlib.sha256()
     with path.open("rb") as file:
-        while chunk := file.read(CHUNK):
-            sha.update(chunk)
+        return digest_of_chunks(iter(lambda: file.read(CHUNK), b""))
+
+
+def digest_of_chunks(chunks: Iterable[bytes]) -> str:
+    """`sha256:…` of bytes that come piece by piece."""
+    sha = hashlib.sha256()
+    for chunk in chunks:
+        sha.update(chunk)
     return "sha256:" + sha.hexdigest()
 
 

@@ -30,7 +30,7 @@ from inpaint3d.contracts.keys import code_digest, key_components, run_key
 from inpaint3d.contracts.manifest import first_error
 from inpaint3d.contracts.model import Closed, Digest
 from inpaint3d.contracts.stage import StageSpec, load_stage
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.store import Record, Store, open_store
 
 STAGE_YAML = "INPAINT3D_STAGE_YAML"
 GRACE_S = 10.0
@@ -49,13 +49,20 @@ class Invocation(Closed):
     die_with_parent: bool = False
 
 
+def main() -> None:
+    """`inpaint3d-stage`, the entry point of every image: serves the stage whose `stage.yaml` the environment names."""
+    if (place := os.environ.get(STAGE_YAML)) is None:
+        sys.exit(f"inpaint3d-stage: {STAGE_YAML} is not set; set it to the stage's stage.yaml")
+    serve(load_stage(Path(place)).spec.module)
+
+
 def serve(module: str) -> None:
     """The whole of a stage's `__main__`. Exits with the code of `inpaint3d.contracts.errors`."""
     parser = argparse.ArgumentParser(prog=f"python -m {module}", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("describe", help="ports, schemas and version, as JSON")
     run = commands.add_parser("run", help="run the stage, or find its result in the store")
-    run.add_argument("--store", type=Path, required=True)
+    run.add_argument("--store", required=True, help="a folder, or s3://BUCKET/PREFIX")
     run.add_argument("--invocation", type=Path, required=True)
     options = parser.parse_args()
     if options.command == "describe":
@@ -186,7 +193,7 @@ def _sha256(digest: Digest) -> dict[str, str]:
     return {"sha256": digest.removeprefix("sha256:")}
 
 
-def _guarded(module: str, store_root: Path, invocation_file: Path, events: TextIO) -> int:
+def _guarded(module: str, place: str, invocation_file: Path, events: TextIO) -> int:
     """Run, and turn whatever happens into an event and an exit code."""
 
     def say(event: str, **values: Any) -> None:
@@ -202,7 +209,7 @@ def _guarded(module: str, store_root: Path, invocation_file: Path, events: TextI
             os.environ[name] = str(invocation.threads)
         # Threads that wait by spinning take cores from whoever else needs them, themselves included.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-        record = execute(module, Store(store_root), invocation, events)
+        record = execute(module, open_store(place), invocation, events)
     except Inpaint3dError as error:
         failure, trace = error, None
     except OSError as error:

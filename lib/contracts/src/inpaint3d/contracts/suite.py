@@ -73,7 +73,7 @@ def command(spec: StageSpec, store: Store, invocation: Invocation) -> list[str]:
     (folder / "invocation.json").write_text(invocation.model_dump_json())
     return [
         sys.executable, "-W", "ignore", "-m", spec.spec.module, "run",
-        "--store", str(store.root), "--invocation", str(folder / "invocation.json"),
+        "--store", store.place, "--invocation", str(folder / "invocation.json"),
     ]  # fmt: skip
 
 

@@ -42,7 +42,7 @@ def start(
     request.write_text(invocation.model_dump_json())
     line = [
         sys.executable, "-m", spec.spec.module, "run",
-        "--store", str(store.root.resolve()), "--invocation", str(request.resolve()),
+        "--store", store.place, "--invocation", str(request.resolve()),
     ]  # fmt: skip
     with log.open("w") as errors:
         process = subprocess.Popen(

@@ -1,0 +1,3 @@
+from tests.s3 import bucket, network
+
+__all__ = ["bucket", "network"]
