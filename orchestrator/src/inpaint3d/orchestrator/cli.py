@@ -7,21 +7,44 @@ Exit codes are those of `inpaint3d.contracts.errors`: 0 done, 2 configuration, 3
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
-from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store, open_store
-from inpaint3d.orchestrator import housekeeping
+from inpaint3d.orchestrator import cluster_cli, housekeeping
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, figures_of, scenes_in, table_of
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.intake import take_artifact, take_capture, take_mask_request
+from inpaint3d.orchestrator.intake import run_name, scenes_of, take_externals
+from inpaint3d.orchestrator.options import (
+    RUNS,
+    STORE,
+    AsJson,
+    Capture,
+    Corpus,
+    Device,
+    Force,
+    From,
+    LogFormat,
+    Mask,
+    Name,
+    Only,
+    PipelinePath,
+    Preset,
+    Prior,
+    RunsPath,
+    Scene,
+    Seed,
+    Set,
+    StorePath,
+    Stub,
+    Until,
+)  # fmt: skip
 from inpaint3d.orchestrator.parameters import parse_overrides
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, preview
 from inpaint3d.orchestrator.progress import display_for
@@ -29,38 +52,6 @@ from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.run import Scheduler
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
-
-StorePath = Annotated[
-    str,
-    typer.Option("--store", envvar="INPAINT3D_STORE", help="where artifacts are kept: a folder, or s3://BUCKET/PREFIX"),
-]
-RunsPath = Annotated[
-    Path, typer.Option("--runs-dir", envvar="INPAINT3D_RUNS", help="where results are left to look at")
-]
-Name = Annotated[str | None, typer.Option(help="name of the run; default: the capture's folder name")]
-Capture = Annotated[Path, typer.Argument(help="a folder of photos, a data set, or a video file")]
-Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: masks that came with the capture")]
-Preset = Annotated[str | None, typer.Option(help="draft, standard, high, paper or spin-nerf; default: the pipeline's")]
-Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, may be repeated")]
-Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of CAPTURE; may be repeated: one run each")]
-Only = Annotated[str | None, typer.Option(help="run this stage alone")]
-From = Annotated[str | None, typer.Option("--from", help="run this stage and what depends on it")]
-Until = Annotated[str | None, typer.Option(help="run up to this stage")]
-Force = Annotated[bool, typer.Option("--force", help="compute again what is selected, even if up to date")]
-PipelinePath = Annotated[Path | None, typer.Option("--pipeline", help="default: the nearest pipeline.yaml")]
-LogFormat = Annotated[
-    Literal["auto", "table", "json"],
-    typer.Option(help="auto (a table on a terminal, JSON lines elsewhere), table, json"),
-]
-Seed = Annotated[int, typer.Option(help="seed of every stage")]
-Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="what stages that can use a GPU run on")]
-Stub = Annotated[bool, typer.Option("--stub", help="run every stage's stub: the whole DAG in seconds, no numeric work")]
-Prior = Annotated[Path | None, typer.Option(help="folder of a diffusion-prior artifact to start from")]
-Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
-AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
-
-STORE = ".inpaint3d/store"
-RUNS = Path("runs")
 
 
 def main() -> None:
@@ -93,48 +84,18 @@ def _planner(
     device: str,
     stub: bool,
 ) -> Planner:
-    externals: dict[str, Digest] = {"capture": take_capture(store, capture)}
-    if mask is not None:
-        externals["mask-request"] = take_mask_request(store, mask)
-    for external, given in (("pretrained-prior", prior), ("image-corpus", corpus)):
-        declared = pipeline.spec.spec.externals.get(external)
-        if declared is None:
-            continue
-        default = pipeline.path.parent / declared.default if declared.default else None
-        if (folder := given or default) is not None:
-            externals[external] = take_artifact(store, folder, declared.schema_range)
     return Planner(
         pipeline=pipeline,
         store=store,
         history=History(store),
-        name=_run_name(capture, name),
+        name=run_name(capture, name),
         preset=preset or pipeline.spec.spec.defaultPreset,
-        externals=externals,
+        externals=take_externals(store, pipeline, capture, mask=mask, prior=prior, corpus=corpus),
         overrides=parse_overrides(pipeline, assignments or []),
         seed=seed,
         device=device,
         stub=stub,
     )
-
-
-def _run_name(capture: Path, given: str | None) -> str:
-    """The name given, else the capture's folder name. It is a folder's name, so that it cannot lead elsewhere."""
-    whole = capture.resolve()
-    name = given if given is not None else whole.name if whole.is_dir() else whole.stem
-    if name in ("", ".", "..") or "/" in name:
-        raise ConfigurationError(f"--name {name}: it names a folder below --runs-dir; give one without a slash")
-    return name
-
-
-def _scenes(capture: Path, scenes: list[str] | None, name: str | None) -> list[tuple[Path, str | None]]:
-    """The captures to run, with their names: the one given, or one for each `--scene` below it."""
-    if not scenes:
-        return [(capture, name)]
-    for scene in scenes:
-        if not (capture / scene).exists():
-            raise ConfigurationError(f"--scene {scene}: there is no {capture / scene}")
-    named = {scene: "-".join(Path(scene).parts) for scene in scenes}
-    return [(capture / scene, f"{name}-{n}" if name else n) for scene, n in named.items()]
 
 
 @app.command()
@@ -162,7 +123,7 @@ def run(
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
     checked, opened = Pipeline(find_pipeline(pipeline)), open_store(store)
     codes: list[int] = []
-    for path, scene_name in _scenes(capture, scene, name):
+    for path, scene_name in scenes_of(capture, scene, name):
         planner = _planner(
             path, store=opened, pipeline=checked, name=scene_name, mask=mask, preset=preset, assignments=assignments,
             prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
@@ -201,7 +162,7 @@ def evaluate_dataset(
     if dataset not in DATASETS:
         raise ConfigurationError(f"no data set {dataset}; there are {', '.join(DATASETS)}")
     known, found = DATASETS[dataset], scenes_in(DATASETS[dataset], folder, scene)
-    checked, opened = Pipeline(find_pipeline(pipeline)), Store(store)
+    checked, opened = Pipeline(find_pipeline(pipeline)), open_store(store)
     scores: list[SceneScore] = []
     codes: list[int] = []
     for path in found:
@@ -385,3 +346,15 @@ def validate(pipeline: PipelinePath = None) -> None:
     """Check pipeline.yaml and every stage.yaml it names."""
     checked = Pipeline(find_pipeline(pipeline))
     sys.stdout.write(f"{checked.path}: {len(checked.order)} stages: {', '.join(checked.order)}\n")
+
+
+@app.command(name="publish")
+def publish_again(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE) -> None:
+    """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here."""
+    opened = open_store(store)
+    publish(opened, History(opened).latest(name), runs_dir / name)
+    sys.stderr.write(f"{name}: results: {runs_dir / name}\n")
+
+
+app.add_typer(cluster_cli.emit_app, name="emit")
+cluster_cli.add_to(app)

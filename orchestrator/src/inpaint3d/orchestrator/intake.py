@@ -9,6 +9,7 @@ from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
 from inpaint3d.contracts.manifest import MANIFEST, Manifest, compatible, describe_file, describe_files, schema_id
 from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.store import Store
 
 
@@ -49,3 +50,40 @@ def take_artifact(store: Store, path: Path, schema: str) -> Digest:
         return manifest.digest
     store.adopt(path, manifest)
     return manifest.digest
+
+
+def take_externals(
+    store: Store, pipeline: Pipeline, capture: Path, *, mask: Path | None, prior: Path | None, corpus: Path | None
+) -> dict[str, Digest]:
+    """Everything that a scene brings from outside; for what is not given, the pipeline's default if it has one."""
+    externals: dict[str, Digest] = {"capture": take_capture(store, capture)}
+    if mask is not None:
+        externals["mask-request"] = take_mask_request(store, mask)
+    for external, given in (("pretrained-prior", prior), ("image-corpus", corpus)):
+        declared = pipeline.spec.spec.externals.get(external)
+        if declared is None:
+            continue
+        default = pipeline.path.parent / declared.default if declared.default else None
+        if (folder := given or default) is not None:
+            externals[external] = take_artifact(store, folder, declared.schema_range)
+    return externals
+
+
+def run_name(capture: Path, given: str | None) -> str:
+    """The name given, else the capture's folder name. It is a folder's name, so that it cannot lead elsewhere."""
+    whole = capture.resolve()
+    name = given if given is not None else whole.name if whole.is_dir() else whole.stem
+    if name in ("", ".", "..") or "/" in name:
+        raise ConfigurationError(f"--name {name}: it names a folder below --runs-dir; give one without a slash")
+    return name
+
+
+def scenes_of(capture: Path, scenes: list[str] | None, name: str | None) -> list[tuple[Path, str | None]]:
+    """The captures to run, with their names: the one given, or one for each `--scene` below it."""
+    if not scenes:
+        return [(capture, name)]
+    for scene in scenes:
+        if not (capture / scene).exists():
+            raise ConfigurationError(f"--scene {scene}: there is no {capture / scene}")
+    named = {scene: "-".join(Path(scene).parts) for scene in scenes}
+    return [(capture / scene, f"{name}-{n}" if name else n) for scene, n in named.items()]

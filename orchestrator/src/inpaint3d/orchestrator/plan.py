@@ -1,10 +1,12 @@
 """What a run would do, and why: the key of every node against what the store holds and what the last run used."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from inpaint3d.contracts.cluster import Image
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.keys import Inputs, code_digest, key_components, run_key
 from inpaint3d.contracts.model import Digest
@@ -72,6 +74,8 @@ class Planner:
     seed: int = 0
     device: str = "cpu"
     stub: bool = False
+    images: Mapping[str, Image] | None = None
+    """What the stages run in, where that is not this machine's own environment: their digests stand for the code."""
     outputs: dict[str, dict[str, Digest]] = field(default_factory=dict[str, dict[str, Digest]])
 
     def known(self, node: str) -> bool:
@@ -84,7 +88,7 @@ class Planner:
         spec = self.pipeline.stages[node]
         components = key_components(
             spec,
-            code=code_digest(spec.spec.module),
+            code=code_digest(spec.spec.module) if self.images is None else self.images[spec.spec.image].digest,
             parameters=self.parameters(node),
             inputs=inputs,
             seed=self.seed,
@@ -100,9 +104,7 @@ class Planner:
         return Task(node, key, components, inputs, record, reason, changes)
 
     def parameters(self, node: str) -> dict[str, Any]:
-        """All the node's parameters: the stage's defaults, pipeline.yaml's, the preset's, the command line's."""
-        chosen = {**self.pipeline.parameters(node, self.preset), **self.overrides.get(node, {})}
-        return resolved(self.pipeline, node, chosen)
+        return node_parameters(self.pipeline, node, self.preset, self.overrides)
 
     def _inputs(self, node: str) -> Inputs:
         ports = self.pipeline.stages[node].spec.inputs
@@ -118,6 +120,11 @@ class Planner:
     def _digest(self, reference: str) -> Digest | None:
         source, name = reference.split(".")
         return self.externals.get(name) if source == "external" else self.outputs[source].get(name)
+
+
+def node_parameters(pipeline: Pipeline, node: str, preset: str | None, overrides: Overrides) -> dict[str, Any]:
+    """A node's parameters: the stage's defaults, pipeline.yaml's over them, the preset's, the command line's."""
+    return resolved(pipeline, node, {**pipeline.parameters(node, preset), **overrides.get(node, {})})
 
 
 def explain(
@@ -161,7 +168,7 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
         task = planner.task(node)
         if task.record is not None and not (selection.force and node in chosen):
             planner.outputs[node] = task.record.outputs
-            rows.append(_row(task, "cached", task.reason))
+            rows.append(with_result(_row(task, "cached", task.reason), task.record))
         elif node in chosen:
             rows.append(_row(task, "pending", "forced" if selection.force else task.reason))
         else:
@@ -172,6 +179,20 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
 def _row(task: Task, status: Any, reason: str) -> NodeRun:
     return NodeRun(
         node=task.node, status=status, reason=reason, changes=task.changes, key=task.key, components=task.components
+    )
+
+
+def with_result(run: NodeRun, record: Record) -> NodeRun:
+    """A node's run with what its result's record says: outputs, and the cost of computing them."""
+    timings = record.timings
+    return run.model_copy(
+        update={
+            "outputs": record.outputs,
+            "wall_s": timings.get("wall_s"),
+            "cpu_s": timings.get("cpu_s"),
+            "peak_memory_bytes": timings.get("peak_memory_bytes"),
+            "non_finite": timings.get("non_finite", {}),
+        }
     )
 
 

@@ -17,7 +17,7 @@ from inpaint3d.contracts.report import NodeRun, RunRecord, Status
 from inpaint3d.contracts.shim import Invocation
 from inpaint3d.contracts.store import Record
 from inpaint3d.orchestrator.history import this_machine
-from inpaint3d.orchestrator.plan import Planner, Selection, Task
+from inpaint3d.orchestrator.plan import Planner, Selection, Task, with_result
 from inpaint3d.orchestrator.progress import Display
 from inpaint3d.orchestrator.runners.process import Event, RunningStage, start
 
@@ -162,16 +162,7 @@ class Scheduler:
 
     def _accept(self, task: Task, status: Status, record: Record) -> None:
         self.planner.outputs[task.node] = record.outputs
-        timings = record.timings
-        run = self._node_run(task, status).model_copy(
-            update={
-                "outputs": record.outputs,
-                "wall_s": timings.get("wall_s"),
-                "cpu_s": timings.get("cpu_s"),
-                "peak_memory_bytes": timings.get("peak_memory_bytes"),
-                "non_finite": timings.get("non_finite", {}),
-            }
-        )
+        run = with_result(self._node_run(task, status), record)
         self._results[task.node] = run
         self.display.node(task.node, status, task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
         self._save("running")

@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from inpaint3d.contracts.artifacts import SCHEMAS
+from inpaint3d.contracts.cluster import ClusterSpec, ImagesSpec
 from inpaint3d.contracts.manifest import Manifest
 from inpaint3d.contracts.pipeline import PipelineSpec
 from inpaint3d.contracts.report import RunReport
@@ -36,6 +37,8 @@ def all_schemas(repository: Path) -> dict[Path, dict[str, Any]]:
         Path("pipeline/1.json"): published(PipelineSpec, "pipeline", "1"),
         Path("stage/1.json"): published(StageSpec, "stage", "1"),
         Path("artifact/1.json"): published(Manifest, "artifact", "1"),
+        Path("cluster/1.json"): published(ClusterSpec, "cluster", "1"),
+        Path("images/1.json"): published(ImagesSpec, "images", "1"),
         Path("report/1.json"): published(RunReport, "report", "1"),
     }
     for name, (version, model) in SCHEMAS.items():

@@ -1,7 +1,7 @@
 """The shim in every stage: verify, validate, run, hash, commit. The same as a process, in a container, in a pod.
 
     python -m inpaint3d.stages.NAME run --store DIR --invocation FILE    do the work, or find it done
-    python -m inpaint3d.stages.NAME describe    ports, schemas, version, as JSON
+    python -m inpaint3d.stages.NAME describe                             ports, schemas, version, as JSON
 
 Events go to standard output as JSON lines; whatever else the stage or its libraries print
 goes to standard error.
@@ -20,9 +20,9 @@ import threading
 import traceback
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
@@ -48,6 +48,17 @@ class Invocation(Closed):
     stub: bool = False
     die_with_parent: bool = False
 
+    @field_validator("inputs", mode="before")
+    @classmethod
+    def _without_absent(cls, inputs: dict[str, Any]) -> dict[str, Any]:
+        """A manifest has no way to leave an input out: what an optional output did not give is empty there."""
+        present: dict[str, Any] = {}
+        for port, given in inputs.items():
+            found = [d for d in cast(list[Any], given) if d] if isinstance(given, list) else given
+            if found:
+                present[port] = found
+        return present
+
 
 def main() -> None:
     """`inpaint3d-stage`, the entry point of every image: serves the stage whose `stage.yaml` the environment names."""
@@ -64,12 +75,15 @@ def serve(module: str) -> None:
     run = commands.add_parser("run", help="run the stage, or find its result in the store")
     run.add_argument("--store", required=True, help="a folder, or s3://BUCKET/PREFIX")
     run.add_argument("--invocation", type=Path, required=True)
+    run.add_argument(
+        "--outputs", type=Path, help="a folder to leave each output's digest in, as a file named by its port"
+    )
     options = parser.parse_args()
     if options.command == "describe":
         sys.stdout.write(stage_spec(module).model_dump_json(by_alias=True, indent=2) + "\n")
         return
     with _events() as events:
-        sys.exit(_guarded(module, options.store, options.invocation, events))
+        sys.exit(_guarded(module, options.store, options.invocation, options.outputs, events))
 
 
 def stage_spec(module: str) -> StageSpec:
@@ -193,7 +207,7 @@ def _sha256(digest: Digest) -> dict[str, str]:
     return {"sha256": digest.removeprefix("sha256:")}
 
 
-def _guarded(module: str, place: str, invocation_file: Path, events: TextIO) -> int:
+def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | None, events: TextIO) -> int:
     """Run, and turn whatever happens into an event and an exit code."""
 
     def say(event: str, **values: Any) -> None:
@@ -210,6 +224,8 @@ def _guarded(module: str, place: str, invocation_file: Path, events: TextIO) -> 
         # Threads that wait by spinning take cores from whoever else needs them, themselves included.
         os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
         record = execute(module, open_store(place), invocation, events)
+        if outputs is not None:
+            _leave(outputs, stage_spec(module), record)
     except Inpaint3dError as error:
         failure, trace = error, None
     except OSError as error:
@@ -225,6 +241,13 @@ def _guarded(module: str, place: str, invocation_file: Path, events: TextIO) -> 
         sys.stderr.write(trace)
     say("error", kind=failure.kind, message=str(failure), exit_code=failure.exit_code)
     return failure.exit_code
+
+
+def _leave(folder: Path, spec: StageSpec, record: Record) -> None:
+    """One file for each port; that of an optional output that there is not is empty."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for port in spec.spec.outputs:
+        (folder / port).write_text(record.outputs.get(port, ""))
 
 
 @contextlib.contextmanager

@@ -1,0 +1,1 @@
+"""Manifests for engines that exist."""

@@ -1,0 +1,230 @@
+"""What can be known of manifests without a cluster, in four layers; each finding begins with the layer that made it.
+
+types       hera's models take the document and give it back whole
+references  every template, task and placeholder that is named is there; tasks wait for what they read, in no circle
+contracts   every port of a stage is fed, schema majors agree, the invocation is the shim's, its parameters the stage's
+policy      nobody is root, nothing is written outside volumes, no secret stands in clear, what runs is pinned
+"""
+
+import graphlib
+import json
+import re
+from collections.abc import Iterator
+from typing import Any, cast
+
+from pydantic import ValidationError
+
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.manifest import compatible, first_error
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.shim import Invocation
+from inpaint3d.orchestrator.emit.argo import LABEL, checked
+from inpaint3d.orchestrator.parameters import resolved
+
+Document = dict[str, Any]
+PLACEHOLDER = re.compile(r"\{\{\s*([^{}]+?)\s*\}\}")
+SECRET = re.compile(r"SECRET|TOKEN|PASSWORD|ACCESS_KEY", re.IGNORECASE)
+PINNED = re.compile(r"^sha256:[0-9a-f]{64}$")
+GLOBAL = {"workflow.name", "workflow.status", "workflow.namespace", "workflow.uid"}
+ANY_DIGEST = "sha256:" + "0" * 64
+
+
+def check(documents: list[Document], pipeline: Pipeline) -> list[str]:
+    """Everything that is wrong with a WorkflowTemplate and its Workflows: `layer: where: what`. Empty: nothing is."""
+    findings = [f"types: {problem}" for d in documents if (problem := _type_problem(d)) is not None]
+    if findings:
+        return findings  # the other layers read what these have not promised
+    templates = {d["metadata"]["name"]: d for d in documents if d["kind"] == "WorkflowTemplate"}
+    for template in templates.values():
+        view = _View(template)
+        findings += [f"references: {f}" for f in _references(view)]
+        findings += [f"contracts: {f}" for f in _contracts(view, pipeline)]
+        findings += [f"policy: {f}" for f in _policy(view)]
+    for workflow in (d for d in documents if d["kind"] == "Workflow"):
+        findings += [f"references: {f}" for f in _workflow(workflow, templates)]
+    return findings
+
+
+def _type_problem(document: Document) -> str | None:
+    try:
+        checked(document)
+    except ConfigurationError as error:
+        return str(error)
+    return None
+
+
+class _View:
+    """A WorkflowTemplate by its parts."""
+
+    def __init__(self, document: Document) -> None:
+        self.spec: Document = document["spec"]
+        self.templates: dict[str, Document] = {t["name"]: t for t in self.spec["templates"]}
+
+    def tasks(self) -> Iterator[tuple[str, Document]]:
+        for name, template in self.templates.items():
+            for task in template.get("dag", {}).get("tasks", []):
+                yield name, task
+
+    def containers(self) -> Iterator[tuple[str, Document]]:
+        return ((name, t) for name, t in self.templates.items() if "container" in t)
+
+
+def _names(holder: Document, side: str, kind: str = "parameters") -> set[str]:
+    return {p["name"] for p in holder.get(side, {}).get(kind, [])}
+
+
+def _placeholders(value: Any) -> set[str]:
+    return set(PLACEHOLDER.findall(json.dumps(value)))
+
+
+def _workflow(workflow: Document, templates: dict[str, Document]) -> Iterator[str]:
+    at = workflow["metadata"]["name"]
+    reference = workflow["spec"].get("workflowTemplateRef", {}).get("name")
+    if reference not in templates:
+        yield f"{at}: no WorkflowTemplate {reference}; there are {', '.join(templates)}"
+        return
+    spec: Document = templates[reference]["spec"]
+    given = _names(workflow["spec"], "arguments")
+    if given != _names(spec, "arguments"):
+        yield f"{at}: gives {sorted(given)}, but {reference} takes {sorted(_names(spec, 'arguments'))}"
+    wanted = next((_names(t, "inputs") for t in spec["templates"] if t["name"] == "scene"), set[str]())
+    for parameter in workflow["spec"].get("arguments", {}).get("parameters", []):
+        for scene in json.loads(parameter["value"]):
+            if set(scene) != wanted:
+                yield f"{at}: scene {scene.get('name')} has {sorted(scene)}; wanted {sorted(wanted)}"
+
+
+def _references(view: _View) -> Iterator[str]:
+    for role in ("entrypoint", "onExit"):
+        if view.spec.get(role) not in view.templates:
+            yield f"{role}: no template {view.spec.get(role)}"
+    known = {f"workflow.parameters.{n}" for n in _names(view.spec, "arguments")} | GLOBAL
+    for name, template in view.templates.items():
+        inside = known | {f"inputs.parameters.{n}" for n in _names(template, "inputs")}
+        if "dag" in template:
+            yield from _dag(view, name, template["dag"]["tasks"], inside)
+        else:
+            yield from (f"{name}: nothing is called {p}" for p in sorted(_placeholders(template) - inside))
+    volumes = {v["name"] for v in view.spec.get("volumes", [])}
+    for name, template in view.containers():
+        for mount in template["container"].get("volumeMounts", []):
+            if mount["name"] not in volumes:
+                yield f"{name}: no volume {mount['name']}"
+
+
+def _dag(view: _View, at: str, tasks: list[Document], known: set[str]) -> Iterator[str]:
+    graph = {t["name"]: set(cast(list[str], t.get("dependencies", []))) for t in tasks}
+    if len(graph) != len(tasks):
+        yield f"{at}: two tasks have one name"
+    for name, after in graph.items():
+        yield from (f"{at}.{name}: depends on {a}, which is no task" for a in sorted(after - set(graph)))
+    try:
+        order = list(graphlib.TopologicalSorter(graph).static_order())
+    except graphlib.CycleError as error:
+        yield f"{at}: the tasks go in a circle: {' -> '.join(error.args[1])}"
+        return
+    before: dict[str, set[str]] = {}
+    for name in order:
+        before[name] = set().union(*({a} | before.get(a, set()) for a in graph.get(name, ())))
+    for task in tasks:
+        yield from _task(view, f"{at}.{task['name']}", task, before[task["name"]], tasks, known)
+
+
+def _task(
+    view: _View, at: str, task: Document, before: set[str], tasks: list[Document], known: set[str]
+) -> Iterator[str]:
+    callee = view.templates.get(task.get("template", ""))
+    if callee is None:
+        yield f"{at}: no template {task.get('template')}; there are {', '.join(view.templates)}"
+        return
+    given, wanted = _names(task, "arguments"), _names(callee, "inputs")
+    yield from (f"{at}: {callee['name']} has no input {n}" for n in sorted(given - wanted))
+    yield from (f"{at}: {callee['name']} is not given its input {n}" for n in sorted(wanted - given))
+    produced = {t["name"]: _names(view.templates.get(t.get("template", ""), {}), "outputs") for t in tasks}
+    for name in sorted(_placeholders(task)):
+        match name.split("."):
+            case ["item", *_] if "withParam" in task:
+                continue
+            case ["tasks", other, "outputs", "parameters", port]:
+                if port not in produced.get(other, set()):
+                    yield f"{at}: {other} has no output {port}"
+                elif other not in before:
+                    yield f"{at}: reads {other}, but does not wait for it"
+            case _:
+                if name not in known:
+                    yield f"{at}: nothing is called {name}"
+
+
+def _contracts(view: _View, pipeline: Pipeline) -> Iterator[str]:
+    sides = {n: t.get("metadata", {}).get("annotations", {}) for n, t in view.templates.items()}
+    for name, template in view.containers():
+        if name in pipeline.nodes:
+            yield from _stage_template(name, template, sides[name], pipeline)
+    scene = view.templates.get("scene", {}).get("dag", {}).get("tasks", [])
+    yield from (f"scene: no task runs {n}" for n in pipeline.order if n not in {t.get("template") for t in scene})
+    for task in scene:
+        for argument in task.get("arguments", {}).get("parameters", []):
+            for name in _placeholders(argument["value"]):
+                parts = name.split(".")
+                if parts[0] != "tasks" or parts[1] not in pipeline.nodes or task["template"] not in pipeline.nodes:
+                    continue
+                offered = json.loads(sides.get(parts[1], {}).get(f"{LABEL}/outputs", "{}")).get(parts[-1])
+                wanted = json.loads(sides[task["template"]].get(f"{LABEL}/inputs", "{}"))
+                port = argument["name"] if argument["name"] in wanted else argument["name"].rpartition("-")[0]
+                if offered is None or port not in wanted or not compatible(offered, wanted[port]):
+                    yield f"scene.{task['name']}: {port} takes {wanted.get(port)}, but {parts[1]} gives {offered}"
+
+
+def _stage_template(name: str, template: Document, annotations: dict[str, str], pipeline: Pipeline) -> Iterator[str]:
+    stage = pipeline.stages[name]
+    if annotations.get(f"{LABEL}/stage") != stage.id:
+        yield f"{name}: is for {annotations.get(f'{LABEL}/stage')}, but this pipeline has {stage.id}"
+    outputs = {p["name"] for p in template.get("outputs", {}).get("parameters", [])}
+    yield from (f"{name}: gives no output {p}" for p in stage.spec.outputs if p not in outputs)
+    raw = [a["raw"]["data"] for a in template.get("inputs", {}).get("artifacts", []) if a["name"] == "invocation"]
+    if not raw:
+        yield f"{name}: has no invocation"
+        return
+    try:
+        invocation = Invocation.model_validate_json(PLACEHOLDER.sub(ANY_DIGEST, raw[0]))
+        resolved(pipeline, name, invocation.parameters)
+    except ValidationError as error:
+        yield f"{name}: its invocation is not the shim's: {first_error(error)}"
+        return
+    except ConfigurationError as error:
+        yield f"{name}: {error}"
+        return
+    yield from (f"{name}: its invocation feeds {p}, no port" for p in invocation.inputs if p not in stage.spec.inputs)
+    for port, declared in stage.spec.inputs.items():
+        if not declared.optional and port not in invocation.inputs:
+            yield f"{name}: its invocation leaves the port {port} empty"
+
+
+def _policy(view: _View) -> Iterator[str]:
+    for name, template in view.containers():
+        container: Document = template["container"]
+        security: Document = container.get("securityContext", {})
+        wanted = {"runAsNonRoot": True, "readOnlyRootFilesystem": True, "allowPrivilegeEscalation": False}
+        yield from (f"{name}: {k} is not {v}" for k, v in wanted.items() if security.get(k) is not v)
+        if security.get("capabilities", {}).get("drop") != ["ALL"]:
+            yield f"{name}: does not drop all capabilities"
+        if security.get("seccompProfile", {}).get("type") != "RuntimeDefault":
+            yield f"{name}: seccompProfile is not RuntimeDefault"
+        if not container.get("command"):
+            yield f"{name}: has no command; Argo would have to ask the registry for it"
+        if "memory" not in container.get("resources", {}).get("limits", {}):
+            yield f"{name}: has no memory limit"
+        for variable in container.get("env", []):
+            if SECRET.search(variable["name"]) and "value" in variable:
+                yield f"{name}: {variable['name']} stands in clear; refer to a Secret"
+            if variable["name"] == "INPAINT3D_IMAGE_DIGEST" and not PINNED.match(variable.get("value", "")):
+                yield f"{name}: {variable.get('value')} is no image digest"
+        if "INPAINT3D_IMAGE_DIGEST" not in {v["name"] for v in container.get("env", [])}:
+            yield f"{name}: does not say which image's digest its keys are made with"
+        for artifact in template.get("inputs", {}).get("artifacts", []):
+            if artifact.get("mode", 0) & 0o444 != 0o444:
+                yield f"{name}: {artifact['name']} cannot be read by a stage that is not root; set mode 0444"
+        if "activeDeadlineSeconds" not in template:
+            yield f"{name}: has no deadline"
+        if "retryStrategy" not in template:
+            yield f"{name}: a pod that is lost is not tried again"

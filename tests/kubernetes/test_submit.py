@@ -1,0 +1,129 @@
+"""What is given to a cluster and asked of it, with a kubectl that writes down what it was told."""
+
+import json
+import sys
+
+import pytest
+import yaml
+
+from inpaint3d.contracts.artifacts import Source
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.store import Record, Store
+from inpaint3d.orchestrator import cluster as clusters
+from inpaint3d.orchestrator.emit.check import check
+from tests.kubernetes.manifests import DIGEST, TOY, cluster, submission
+
+KUBECTL = """#!{python}
+import json, pathlib, sys
+here = pathlib.Path(__file__).parent
+with (here / "calls").open("a") as file:
+    file.write(json.dumps([sys.argv[1:], "" if "-" not in sys.argv else sys.stdin.read()]) + "\\n")
+answer = here / "answer"
+if answer.exists():
+    sys.stdout.write(answer.read_text())
+else:
+    sys.exit("E1: noise\\nthe server is out")
+"""
+
+
+@pytest.fixture
+def kubectl(tmp_path, monkeypatch):
+    """The folder of the kubectl on the PATH."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    (folder / "kubectl").write_text(KUBECTL.replace("{python}", sys.executable))
+    (folder / "kubectl").chmod(0o755)
+    (folder / "answer").write_text("{}")
+    monkeypatch.setenv("PATH", str(folder))
+    return folder
+
+
+def calls(folder):
+    return [json.loads(line) for line in (folder / "calls").read_text().splitlines()]
+
+
+@pytest.fixture
+def store(tmp_path):
+    return Store(tmp_path / "store")
+
+
+def test_submit_applies_the_template_then_creates_the_workflows(store, kubectl):
+    where = cluster(scenesPerWorkflow=1)
+    documents = clusters.prepare(store, TOY, where, submission(TOY))
+    assert clusters.submit(where, documents) == ["test-0000", "test-0001"]
+    (applied, template), (created, workflows) = calls(kubectl)
+    assert applied == ["--namespace", "inpaint3d", "apply", "-f", "-"]
+    assert created == ["--namespace", "inpaint3d", "create", "-f", "-"]
+    assert [yaml.safe_load(template), *yaml.safe_load_all(workflows)] == documents
+
+
+def test_status_tells_of_pods_and_waits(kubectl):
+    nodes = {
+        "1": {"name": "t.scene(0:n).a", "type": "Pod", "phase": "Failed", "message": "OOMKilled (exit code 137)"},
+        "2": {"name": "t.scene(0:n)", "type": "DAG", "phase": "Running"},
+        "3": {"name": "t.scene(0:n).await-mask", "type": "Suspend", "phase": "Running"},
+    }
+    workflow = {"metadata": {"name": "t"}, "status": {"phase": "Running", "nodes": nodes}}
+    (kubectl / "answer").write_text(json.dumps({"items": [workflow]}))
+    assert list(clusters.status(cluster(), "test")) == [
+        ("t", "Running", ""),
+        ("t.scene(0:n).a", "Failed", "OOMKilled (exit code 137)"),
+        ("t.scene(0:n).await-mask", "Running", ""),
+    ]
+    (kubectl / "answer").write_text('{"items": []}')
+    with pytest.raises(ConfigurationError, match="no Workflow of test"):
+        list(clusters.status(cluster(), "test"))
+
+
+def test_logs_are_those_of_the_stage_asked_for(kubectl):
+    (kubectl / "answer").write_text("said")
+    assert clusters.logs(cluster(), "test", "a") == "said"
+    assert "inpaint3d/template=test,inpaint3d/node=a" in calls(kubectl)[0][0]
+
+
+def test_rerun_forgets_the_stage_of_the_scene_and_runs_that_scene_again(store, kubectl):
+    where = cluster()
+    clusters.prepare(store, TOY, where, submission(TOY))
+    keys = {}
+    for scene in submission(TOY).scenes:
+        keys[scene.name] = clusters.record(store, TOY, submission(TOY, scenes=(scene,)))[0].nodes[0].key
+    assert keys["kitchen"] == keys["n"], "the same capture"
+    made = {"capture": store.put(store.private_folder(), "source", Source(name="a", kind="folder"))}
+    store.commit(Record(key=keys["n"], stage="ingest@0.1.0", components={}, outputs=made, provenance={}, timings={}))
+    assert store.lookup(keys["n"]) is not None
+    (name,) = clusters.rerun(store, TOY, where, "test", "ingest", ["n"])
+    assert store.lookup(keys["n"]) is None
+    (template, workflow) = (yaml.safe_load(document) for _, document in calls(kubectl))
+    assert workflow["metadata"]["name"] == name != "test-0000"
+    assert [s["name"] for s in json.loads(workflow["spec"]["arguments"]["parameters"][0]["value"])] == ["n"]
+    assert check([template, workflow], TOY) == []
+    with pytest.raises(ConfigurationError, match="test has no scene hall; it has kitchen, n"):
+        clusters.rerun(store, TOY, where, "test", "ingest", ["hall"])
+    with pytest.raises(ConfigurationError, match="nothing was submitted as tset; there are test"):
+        clusters.rerun(store, TOY, where, "tset", "ingest", [])
+
+
+def test_a_rerun_waits_for_no_mask_that_was_supplied(store, kubectl, tmp_path):
+    clusters.prepare(store, TOY, cluster(), submission(TOY, awaitMasks=True))
+    (tmp_path / "mask.yaml").write_text("mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}")
+    digest = clusters.supply_mask(store, "test", "n", tmp_path / "mask.yaml")
+    scenes = {s.name: s.externals for s in clusters.load_submission(store, "test").scenes}
+    assert scenes == {"kitchen": {"capture": DIGEST}, "n": {"capture": DIGEST, "mask-request": digest}}
+    waits = []
+    for chosen in (["n"], ["kitchen"]):
+        clusters.rerun(store, TOY, cluster(), "test", "ingest", chosen)
+        template = yaml.safe_load(calls(kubectl)[-2][1])
+        waits.append("await-mask" in {t["name"] for t in template["spec"]["templates"]})
+    assert waits == [False, True]
+
+
+def test_a_cluster_that_does_not_answer_is_said_in_its_words(kubectl):
+    (kubectl / "answer").unlink()
+    with pytest.raises(ConfigurationError, match="the server is out"):
+        clusters.logs(cluster(), "test", None)
+
+
+def test_kubectl_that_is_not_there_is_asked_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ConfigurationError, match="kubectl is not on the PATH"):
+        clusters.logs(cluster(), "test", None)
