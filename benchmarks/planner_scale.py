@@ -1,0 +1,88 @@
+"""What planning costs when every result is there: seconds and memory for many scenes, on a store held in memory.
+
+python -m benchmarks.planner_scale [SCENES]
+"""
+
+import json
+import resource
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from inpaint3d.contracts.canonical import digest_of
+from inpaint3d.contracts.cluster import Image
+from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.store import Record, Store
+from inpaint3d.orchestrator.history import History, this_machine
+from inpaint3d.orchestrator.plan import Planner, Selection, preview
+
+
+class MemoryStore(Store):
+    """Documents in a dictionary; every artifact counts as whole. What is left is the planner's own cost."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.documents: dict[str, bytes] = {}
+        self.requests = 0
+
+    def read(self, path: str) -> bytes | None:
+        self.requests += 1
+        return self.documents.get(path)
+
+    def create(self, path: str, data: bytes) -> bool:
+        return self.documents.setdefault(path, data) is data
+
+    def names(self, folder: str) -> list[str]:  # noqa: ARG002 - the store's signature
+        self.requests += 1
+        return []
+
+    def whole(self, digest: str) -> bool:  # noqa: ARG002
+        self.requests += 2  # a bucket's manifest and listing
+        return True
+
+
+def planner(pipeline: Pipeline, store: Store, scene: int) -> Planner:
+    images = {s.spec.image: Image(image="i", digest=digest_of(s.spec.image)) for s in pipeline.stages.values()}
+    externals = {"capture": digest_of(scene)}
+    return Planner(pipeline, store, History(store), f"scene-{scene}", None, externals, {}, images=images)
+
+
+def compute(pipeline: Pipeline, store: Store, scene: int) -> None:
+    """Commit a result under every key of a scene."""
+    planning = planner(pipeline, store, scene)
+    for node in pipeline.order:
+        task = planning.task(node)
+        outputs = {port: digest_of([task.key, port]) for port in pipeline.stages[node].spec.outputs}
+        stage = pipeline.stages[node].id
+        record = Record(
+            key=task.key, stage=stage, components=task.components, outputs=outputs, provenance={}, timings={}
+        )
+        planning.outputs[node] = store.commit(record).outputs
+
+
+def main(scenes: int) -> None:
+    pipeline = Pipeline(Path("pipeline.yaml"))
+    with tempfile.TemporaryDirectory() as folder:
+        store = MemoryStore(Path(folder))
+        for scene in range(scenes):
+            compute(pipeline, store, scene)
+        store.requests = 0
+        start, cpu = time.perf_counter(), time.process_time()
+        for scene in range(scenes):
+            rows = preview(planner(pipeline, store, scene), Selection())
+            assert all(row.status == "cached" for row in rows)
+        figures = {
+            "scenes": scenes,
+            "nodes": len(pipeline.order),
+            "wall_s": round(time.perf_counter() - start, 1),
+            "cpu_s": round(time.process_time() - cpu, 1),
+            "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+            "store_requests": store.requests,
+            "machine": this_machine().model_dump(),
+        }
+    print(json.dumps(figures, indent=2))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000)
