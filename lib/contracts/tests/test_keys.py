@@ -58,6 +58,15 @@ def test_local_code_digest_covers_libraries_but_not_other_packages():
     assert not {"torch", "inpaint3d-radiance"} & closure
 
 
+def test_compiled_sources_count_and_reach_the_stages_that_compute_with_them(monkeypatch):
+    assert "inpaint3d-kernels" in keys._closure("inpaint3d-nerf-pretraining")
+    seen = []
+    monkeypatch.setattr(keys, "tree_digest", lambda folder, _: seen.append(folder.name) or D)
+    keys._source_digest.__wrapped__("inpaint3d-kernels")
+    assert seen == ["src", "csrc"]
+    assert {".cpp", ".hpp"} <= set(keys.SOURCE_SUFFIXES)
+
+
 def test_a_distribution_that_is_not_here_is_a_clear_error():
     with pytest.raises(ConfigurationError, match="inpaint3d-nowhere is not installed"):
         keys.local_code_digest("inpaint3d-nowhere")

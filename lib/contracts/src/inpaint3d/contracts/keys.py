@@ -22,7 +22,8 @@ ALGORITHM = "1"
 IMAGE_DIGEST = "INPAINT3D_IMAGE_DIGEST"
 PREFIX = "inpaint3d-"
 # Everything that a stage computes with lives in these; the rest of a package's folder (tests, docs) does not count.
-SOURCE_SUFFIXES = (".py", ".cpp", ".h", ".txt", ".json", ".html", ".j2")
+SOURCE_FOLDERS = ("src", "csrc")
+SOURCE_SUFFIXES = (".py", ".cpp", ".hpp", ".h", ".txt", ".json", ".html", ".j2")
 
 Inputs = dict[str, Digest | list[Digest]]
 
@@ -113,4 +114,5 @@ def _source_digest(distribution: str) -> Digest:
         raise ConfigurationError(
             f"{distribution} is installed without its source, and {IMAGE_DIGEST} is not set; set it to the image's"
         )
-    return tree_digest(project / "src", SOURCE_SUFFIXES)
+    trees = [tree_digest(project / folder, SOURCE_SUFFIXES) for folder in SOURCE_FOLDERS if (project / folder).is_dir()]
+    return digest_of(trees)
