@@ -60,15 +60,20 @@ def test_the_histogram_is_the_walls_weights_spread_to_neighbours_and_raised() ->
 def test_a_cell_rises_at_once_and_falls_by_degrees() -> None:
     grid = DensityGrid(4, 8)
     middle, corner = torch.tensor([[0.6, 0.6, 0.6]]), torch.tensor([[0.01, 0.01, 0.99]])
-    grid.learn(torch.cat([middle, middle, corner]), torch.tensor([3.0, 7.0, 0.0]))
+
+    def learn(points: torch.Tensor, density: list[float]) -> None:
+        grid.notice(points, torch.tensor(density))
+        grid.learn()
+
+    learn(torch.cat([middle, middle, corner]), [3.0, 7.0, 0.0])
     (cell,) = (grid.density == 7).nonzero()
     assert cell == (2 * 4 + 2) * 4 + 2
     assert grid.density[3 * 16] == MEMORY * UNSEEN
     assert (grid.density == UNSEEN).sum() == 62
-    grid.learn(middle, torch.tensor([0.0]))
+    learn(middle, [0.0])
     assert grid.density[cell] == 7 * MEMORY
     # Outside the cube its border is learnt, not some other place.
-    grid.learn(torch.tensor([[1.5, -3.0, 0.01]]), torch.tensor([9.0]))
+    learn(torch.tensor([[1.5, -3.0, 0.01]]), [9.0])
     assert grid.density[3] == 9
 
 
@@ -77,8 +82,11 @@ def test_training_teaches_the_grid_and_looking_does_not() -> None:
     assert field.density_grid is not None
     before = field.density_grid.density.clone()
     render(field, toward)
+    field.density_grid.learn()
     assert torch.equal(field.density_grid.density, before)
-    render(field, toward, generator=torch.Generator().manual_seed(1))
+    renders = [render(field, toward, generator=torch.Generator().manual_seed(1)) for _ in range(2)]
+    assert torch.equal(renders[0].sdist, renders[1].sdist), "nothing is learnt in the middle of a step"
+    field.density_grid.learn()
     learnt = field.density_grid.density != before
     # 64 x 12 samples, most in cells of their own or shared with a neighbour's ray.
     assert 50 < learnt.sum() < 64 * 12
@@ -94,7 +102,8 @@ def test_bits_do_not_depend_on_threads() -> None:
         generator = torch.Generator().manual_seed(0)
         for _ in range(3):
             render(field, rays(3000), generator=generator)
-        assert field.density_grid is not None
+            assert field.density_grid is not None
+            field.density_grid.learn()
         results.append(field.density_grid.density)
     torch.set_num_threads(1)
     assert torch.equal(results[0], results[1])

@@ -33,6 +33,7 @@ class DensityGrid(nn.Module):
         super().__init__()
         self.cells, self.bins = cells, bins
         self.register_buffer("density", torch.full((cells**3,), UNSEEN))
+        self._noticed: list[tuple[Tensor, Tensor]] = []
 
     @torch.no_grad()
     def histogram(
@@ -52,9 +53,19 @@ class DensityGrid(nn.Module):
         return ends, (larger[:, 1:] + larger[:, :-1]) / 2 + FLOOR
 
     @torch.no_grad()
-    def learn(self, cube: Float[Tensor, "n 3"], density: Float[Tensor, " n"]) -> None:
-        """Take in what the field said of points of the cube."""
-        cell = self._cell(cube)
+    def notice(self, cube: Float[Tensor, "n 3"], density: Float[Tensor, " n"]) -> None:
+        """Remember until `learn` what the field said of points of the cube."""
+        self._noticed.append((self._cell(cube), density.detach()))
+
+    @torch.no_grad()
+    def learn(self) -> None:
+        """Take in what was noticed since the last time: once a step, since a patch that is rendered again for its
+        gradient must be sampled as it was.
+        """
+        if not self._noticed:
+            return
+        cell, density = (torch.cat(parts) for parts in zip(*self._noticed, strict=True))
+        self._noticed.clear()
         self.density[cell] = MEMORY * self.density[cell]  # equal cells are given equal numbers: no order matters
         self.density.scatter_reduce_(0, cell, density, "amax")
 

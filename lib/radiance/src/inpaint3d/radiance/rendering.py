@@ -49,8 +49,8 @@ def render(
 ) -> Rendering:
     """Render rays of any shape (N2, N10, N11).
 
-    With a generator, samples are jittered and a density grid learns from them (training); without, they are centred and
-    the result repeats. glo: each ray's
+    With a generator, samples are jittered and a density grid notices them (training); without, they are centred and the
+    result repeats. glo: each ray's
     own appearance code, or the mean of all. anneal: power on the proposals' weights before they are resampled (Mip-NeRF
     360: from 0, even sampling, to 1 over the first steps). near_gradient False turns the gradients down close to the
     camera (see `damped`).
@@ -63,7 +63,7 @@ def render(
     points = _points(flat, tdist)
     samples = field.query(points, flat.directions, appearance, specular_scale)
     if field.density_grid is not None and generator is not None:
-        field.density_grid.learn(field.cube(points), samples.density)
+        field.density_grid.notice(field.cube(points), samples.density)
     density, rgb = samples.density.reshape(r, s), samples.rgb.reshape(r, s, 3)
     if not near_gradient:
         density, rgb = damped(density, rgb, tdist)

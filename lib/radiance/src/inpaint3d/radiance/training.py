@@ -88,7 +88,7 @@ def reconstruction(rendering: Rendering, target: Float[Tensor, "*n 3"], weight: 
 def descend(
     field: RadianceField, optimizer: Adam, terms: Mapping[str, Tensor], rate: float, non_finite: dict[str, int]
 ) -> dict[str, float]:
-    """One step down the sum of the terms at learning rate `rate`; returns each term's value.
+    """One step down the sum of the terms at learning rate `rate`; returns each term's value. A density grid learns.
 
     Non-finite terms and gradients are counted into `non_finite` by place and stop the run with an error that names
     them: no parameter is touched by them.
@@ -103,6 +103,8 @@ def descend(
         torch.stack(list(terms.values())).sum().backward()
         optimizer.set_rate(rate)
         optimizer.step()
+        if field.density_grid is not None:
+            field.density_grid.learn()
         names = {id(parameter): name for name, parameter in field.named_parameters()}
         for parameter, count in optimizer.lost.items():
             place = f"gradient.{names[id(parameter)]}"
