@@ -2,24 +2,29 @@ import csv
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from types import SimpleNamespace
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
 import yaml
 
-from inpaint3d.contracts.artifacts import RadianceFieldArtifact
+from inpaint3d.contracts.artifacts import DiffusionPrior, PriorSpec, RadianceFieldArtifact
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
 from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.stage import load_stage
 from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.diffusion.io import save_prior
+from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.runtimes import OnnxNetwork, export_onnx
+from inpaint3d.diffusion.unet import EfficientUNet
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.radiance.training import psnr
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.config import Config, Estimator
-from inpaint3d.stages.joint_optimization.run import run
+from inpaint3d.stages.joint_optimization.run import load_network, run
 
 MODULE = "inpaint3d.stages.joint_optimization"
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
@@ -105,6 +110,24 @@ def test_an_estimator_without_a_prior_is_a_configuration_error(store: Store, inp
     del wired["diffusion-prior"]
     with pytest.raises(ConfigurationError, match="set estimator to one of none, classical, features"):
         optimised(store, wired, estimator="sds")
+
+
+# What the exporter uses of torch and onnxscript is old to torch itself.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_a_prior_is_asked_in_the_runtime_that_it_names_unless_a_copy_of_it_learns(store: Store) -> None:
+    folder = store.private_folder()
+    prior = InpaintingPrior(PriorSpec(size=16, width=8, multipliers=(1,), blocks=(1,), attention=(False,)), seed=0)
+    save_prior(folder / "weights.safetensors", prior)
+    export_onnx(folder / "network.onnx", prior.eval())
+    (folder / "training_curve.csv").write_text("step,loss,held_out_loss\n")
+    metadata = DiffusionPrior(
+        spec=prior.spec, steps=0, seed=0, trained_on="nothing", onnx="network.onnx", runtime="onnxruntime"
+    )
+    artifact = store.open(store.put(folder, "diffusion-prior", metadata), DiffusionPrior)
+    wired = cast(Inputs, SimpleNamespace(optional=lambda *_: artifact))
+    for estimator, network in (("sds", OnnxNetwork), ("vsd", EfficientUNet)):
+        assert isinstance(load_network(Config(estimator=estimator), wired, "cpu").network, network)
+    assert isinstance(load_network(Config(estimator="sds"), wired, "cuda").network, EfficientUNet)
 
 
 def test_a_view_without_mask_is_bad_input(store: Store, inputs: Wired) -> None:

@@ -8,7 +8,7 @@ from inpaint3d.contracts.artifacts import DiffusionPrior, EffectPlan, MaskSet, P
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.diffusion.io import load_prior
+from inpaint3d.diffusion.io import load_prior, open_prior
 from inpaint3d.diffusion.low_rank import LowRankCopy
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.radiance import backends
@@ -153,7 +153,7 @@ def load_guide(config: Config, inputs: Inputs, to_fill: Views, seed: int, device
             references=config.references,
             least_known=config.least_known,
         )
-    prior = load_network(config, inputs).to(device)
+    prior = load_network(config, inputs, device).to(device)
     if config.estimator in ("inpaint-then-nerf", "dataset-update"):
         size, g = prior.spec.size, config.guidance
         windows = fixed_windows(to_fill, size=size, span=config.span_first, least_known=config.least_known)
@@ -163,20 +163,25 @@ def load_guide(config: Config, inputs: Inputs, to_fill: Views, seed: int, device
             )
         pictures = sampled_views(to_fill, windows, prior, steps=config.sample_steps, guidance=g, seed=seed)
         return PictureGuide(pictures, windows, size)
-    copy = LowRankCopy(prior, rank=config.copy_rank, rate=config.copy_rate, seed=seed)
-    return PriorGuide(
-        prior, config.estimator, config.guidance, config.denoise_steps, copy if config.estimator == "vsd" else None
-    )
+    copy = None
+    if config.estimator == "vsd":
+        copy = LowRankCopy(prior, rank=config.copy_rank, rate=config.copy_rate, seed=seed)
+    return PriorGuide(prior, config.estimator, config.guidance, config.denoise_steps, copy)
 
 
-def load_network(config: Config, inputs: Inputs) -> InpaintingPrior:
-    """The prior that is wired; ConfigurationError where none is."""
+def load_network(config: Config, inputs: Inputs, device: str) -> InpaintingPrior:
+    """The prior that is wired, in the runtime that it names; ConfigurationError where none is wired.
+
+    A copy that learns (vsd) and a GPU take torch.
+    """
     prior = inputs.optional("diffusion-prior", DiffusionPrior)
     if prior is None:
         raise ConfigurationError(
             f"estimator {config.estimator!r} needs an artifact at the input diffusion-prior; "
             f"wire one, or set estimator to one of {', '.join(WITHOUT_PRIOR)}"
         )
+    if device == "cpu" and config.estimator != "vsd":
+        return open_prior(prior, threads=torch.get_num_threads())
     return load_prior(prior.path(prior.metadata.weights), prior.metadata.spec)
 
 
