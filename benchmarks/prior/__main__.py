@@ -39,8 +39,8 @@ from inpaint3d.diffusion.masks import random_masks
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.samplers import inpaint
 from inpaint3d.orchestrator.history import this_machine
+from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import write_png
-from inpaint3d.stages.evaluation import lpips
 from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import kernel_distance
 

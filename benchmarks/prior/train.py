@@ -49,6 +49,9 @@ SPEC = PriorSpec(
 HELD_OUT = 100
 EVERY_STEPS = 500
 CHECKPOINT_S = 120
+WARM_UP_STEPS = 200
+DECAY_SHARE = 0.4
+"""The last part of the time, in which the learning rate falls to zero."""
 
 
 def main() -> None:
@@ -72,7 +75,8 @@ def main() -> None:
     while not stop and time.monotonic() - wall < options.hours * 3600:
         rng, generator = step_generators(0, state.step)
         batch = crops(photos, options.batch, options.spec.size, rng)
-        rate = options.rate * min(1.0, (state.step + 1) / 200)
+        left = 1 - (time.monotonic() - wall) / (options.hours * 3600)
+        rate = options.rate * min(1.0, (state.step + 1) / WARM_UP_STEPS, left / DECAY_SHARE)
         train_step(
             state,
             lambda prior, batch=batch, generator=generator: denoising_loss(prior, batch, generator, (0.02, 1.0)),
