@@ -55,8 +55,8 @@ $(PEER_ENV)/.installed: $(UV) benchmarks/radiance/peer/pyproject.toml benchmarks
 bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields against nerfstudio and the machine [FOX=FOLDER]
 	.venv/bin/python -m benchmarks.radiance $(if $(FOX),--fox $(FOX)) $(BENCH_OPTIONS)
 
-bench-prior: .venv/.installed ## a prior on held-out photos against classical fills PRIOR=FOLDER PHOTOS=FOLDER
-	.venv/bin/python -m benchmarks.prior $(PRIOR) $(PHOTOS) $(BENCH_OPTIONS)
+bench-prior: .venv/.installed ## a prior on held-out photos against classical fills CORPUS=FOLDER [PRIOR=FOLDER]
+	.venv/bin/python -m benchmarks.prior $(CORPUS) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
 
 bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [PHOTOS=FOLDER]
 	.venv/bin/python -m benchmarks.unet $(if $(PHOTOS),--photos $(PHOTOS)) $(BENCH_OPTIONS)

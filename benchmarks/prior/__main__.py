@@ -1,10 +1,10 @@
-"""A prior judged on its own, on photos that it was not trained on: `make bench-prior PRIOR=FOLDER PHOTOS=FOLDER`.
+"""A prior judged on its own, on photos that it was not trained on: `make bench-prior CORPUS=FOLDER [PRIOR=FOLDER]`.
 
-    python -m benchmarks.prior PRIOR PHOTOS [--count N] [--steps N] [--out FILE] [--grids FOLDER]
+    python -m benchmarks.prior CORPUS [--prior FOLDER] [--count N] [--steps N] [--out FILE] [--grids FOLDER]
 
-PRIOR holds weights.safetensors and card.json, as benchmarks/prior/train.py writes them, or is a diffusion-prior
-artifact; PHOTOS is what it was trained on, of which a hundred were held out by a hash of their names. Each photo's
-middle square, at the prior's size, is filled under three kinds of holes by
+CORPUS is the image-corpus artifact that the prior was trained on, of which some photos were held out by a hash of their
+names; --prior is a diffusion-prior artifact, the repository's own unless another is named. Each held-out photo's middle
+square, at the prior's size, is filled under three kinds of holes by
 
     ours             a DDIM sample of the prior
     mean             the mean colour of the known pixels
@@ -19,7 +19,6 @@ which are not the project's to publish: they go to a folder that is not committe
 """
 
 import argparse
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -28,11 +27,11 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from benchmarks.prior.train import split
 from benchmarks.provenance import REPOSITORY, commit
 from torch import Tensor
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus
+from inpaint3d.contracts.store import artifact_in
 from inpaint3d.diffusion.io import load_prior
 from inpaint3d.diffusion.judging import hole_psnr, telea_fill, to_bytes
 from inpaint3d.diffusion.masks import random_masks
@@ -44,6 +43,7 @@ from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import kernel_distance
 
+GENERAL = REPOSITORY / "priors" / "general"
 RESULTS = REPOSITORY / "benchmarks" / "results" / "prior.json"
 SEED = 20
 BATCH = 10
@@ -55,8 +55,10 @@ Fill = Callable[[Tensor, Tensor], Tensor]
 def main() -> None:
     options = arguments()
     torch.set_num_threads(options.threads)
-    prior, described = open_prior(options.prior)
-    held_out = split(options.photos)[1][: options.count]
+    artifact = artifact_in(options.prior, "diffusion-prior@1", DiffusionPrior)
+    prior = load_prior(artifact.path(artifact.metadata.weights), artifact.metadata.spec)
+    corpus = artifact_in(options.corpus, "image-corpus@1", ImageCorpus)
+    held_out = [corpus.path(p.path) for p in corpus.metadata.pictures if p.split == "test"][: options.count]
     truth = torch.stack([middle_square(path, prior.spec.size) for path in held_out])
     judge = Judge(truth)
     masks: dict[str, Any] = {}
@@ -70,7 +72,11 @@ def main() -> None:
     report = {
         "machine": this_machine().model_dump(),
         **commit(),
-        "prior": described,
+        "prior": {
+            "digest": artifact.digest,
+            "size": prior.spec.size,
+            "parameters": sum(p.numel() for p in prior.parameters()),
+        },
         "photos": len(held_out),
         "sampler": f"ddim, {options.steps} steps",
         "lpips_network": "vgg",
@@ -83,39 +89,19 @@ def main() -> None:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("prior", type=Path)
-    parser.add_argument("photos", type=Path)
+    parser.add_argument("corpus", type=Path)
+    parser.add_argument("--prior", type=Path, default=GENERAL)
     parser.add_argument("--count", type=int, default=100, help="judge on the first so many held-out photos alone")
     parser.add_argument("--steps", type=int, default=8, help="DDIM steps of a sample")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--grids", type=Path, default=REPOSITORY / "runs" / "bench-prior")
     options = parser.parse_args()
-    for path in (options.prior, options.photos):
-        if not path.is_dir():
-            parser.error(f"{path} is no folder; `make bench-prior PRIOR=FOLDER PHOTOS=FOLDER`")
     if options.count < 2:
         parser.error(f"--count {options.count}: KID needs at least 2 photos")
     if options.count < 100 and options.out == RESULTS:
         parser.error("figures of fewer photos are no results; give another file with --out")
     return options
-
-
-def open_prior(folder: Path) -> tuple[InpaintingPrior, dict[str, Any]]:
-    """The prior of a folder, and what to call it: its weights by their digest, and how long it learnt."""
-    artifact = folder / "artifact.json"
-    card = json.loads(artifact.read_text())["metadata"] if artifact.exists() else json.loads(
-        (folder / "card.json").read_text()
-    )  # fmt: skip
-    weights = folder / card.get("weights", "weights.safetensors")
-    prior = load_prior(weights, PriorSpec.model_validate(card["spec"]))
-    described = {
-        "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
-        "steps": card["steps"],
-        "size": prior.spec.size,
-        "parameters": sum(p.numel() for p in prior.parameters()),
-    }
-    return prior, described
 
 
 def middle_square(path: Path, size: int) -> Tensor:

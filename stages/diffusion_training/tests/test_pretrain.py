@@ -62,7 +62,7 @@ def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path
 
 def test_what_cannot_be_learnt_from_is_named(corpus: Path, tmp_path: Path, monkeypatch) -> None:
     config = Config.model_validate(TINY)
-    with pytest.raises(BadInputError, match="nowhere is no image-corpus artifact"):
+    with pytest.raises(ConfigurationError, match="nowhere holds no artifact"):
         pretrain(tmp_path / "nowhere", tmp_path / "out", config, seed=0)
     write_corpus(tmp_path / "pictures", tmp_path / "all", held_out=0.0)
     with pytest.raises(BadInputError, match="8 pictures to learn from and 0 held out"):

@@ -192,7 +192,8 @@ def test_what_it_writes_can_be_queried_and_tells_how_it_went(store, inputs) -> N
     rows = list(csv.DictReader(prior.path("training_curve.csv").read_text().splitlines()))
     assert [int(row["step"]) for row in rows] == [2, 4, 6]
     assert all(float(row["loss"]) > 0 and float(row["held_out_loss"]) > 0 for row in rows)
-    assert {"hole_psnr_sample", "hole_psnr_expectation", "hole_psnr_telea"} <= set(prior.metadata.held_out)
+    judged = {"hole_psnr_sample", "hole_psnr_expectation", "hole_psnr_telea", "lpips_sample", "lpips_telea"}
+    assert judged <= set(prior.metadata.held_out)
     assert prior.metadata.start == "scratch"
     assert prior.metadata.trained_on.startswith("5 frames of the capture without the")
     assert all(prior.path(sample).stat().st_size > 100 for sample in prior.metadata.samples)
@@ -218,6 +219,15 @@ def test_fine_tuning_starts_from_the_pretrained_prior(store, inputs) -> None:
     assert tuned.path("weights.safetensors").read_bytes() == first.path("weights.safetensors").read_bytes()
     figures = tuned.metadata.held_out
     assert figures["start_hole_psnr_expectation"] == figures["hole_psnr_expectation"]
+
+
+def test_a_fresh_start_leaves_the_pretrained_prior_alone(store, inputs) -> None:
+    first = train(store, inputs, steps=1)
+    fresh = train(store, inputs | {"pretrained-prior": first.digest}, start="fresh")
+    assert fresh.metadata.start == "scratch"
+    assert (
+        fresh.path("weights.safetensors").read_bytes() == train(store, inputs).path("weights.safetensors").read_bytes()
+    )
 
 
 def test_a_corpus_is_learnt_from_too(store, room, inputs) -> None:

@@ -6,11 +6,11 @@ from pathlib import Path
 from inpaint3d.contracts.artifacts import MaskRequestArtifact, Source
 from inpaint3d.contracts.artifacts.masks import MaskRequest
 from inpaint3d.contracts.documents import load_document
-from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
-from inpaint3d.contracts.manifest import MANIFEST, Manifest, compatible, describe_file, describe_files, schema_id
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.manifest import Manifest, describe_file, describe_files, schema_id
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import Store, manifest_in
 
 
 def take_capture(store: Store, path: Path) -> Digest:
@@ -41,11 +41,7 @@ def take_mask_request(store: Store, path: Path) -> Digest:
 
 def take_artifact(store: Store, path: Path, schema: str) -> Digest:
     """An artifact's folder as another store holds it (a pretrained prior, a corpus), verified on the way in."""
-    if not (path / MANIFEST).is_file():
-        raise ConfigurationError(f"{path} holds no {MANIFEST}; give the folder of a {schema} artifact")
-    manifest = Manifest.model_validate_json((path / MANIFEST).read_bytes())
-    if not compatible(manifest.schema_id, schema):
-        raise ArtifactError(f"{path} is {manifest.schema_id}, but {schema} is wanted here")
+    manifest = manifest_in(path, schema)
     if store.whole(manifest.digest):
         return manifest.digest
     store.adopt(path, manifest)

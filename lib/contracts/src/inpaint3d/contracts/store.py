@@ -30,6 +30,7 @@ from inpaint3d.contracts.manifest import (
     MANIFEST,
     Manifest,
     build_manifest,
+    compatible,
     describe_files,
     first_error,
     read_metadata,
@@ -54,6 +55,28 @@ class Artifact(Generic[M]):
         if not path.is_file():
             raise ArtifactError(f"{self.manifest.schema_id} has no file {relative} ({self.root})")
         return path
+
+
+def manifest_in(folder: Path, schema: str) -> Manifest:
+    """The manifest of an artifact in a folder of its own, outside any store; its files are not looked at.
+
+    Raises ConfigurationError where the folder holds none, ArtifactError where it is of another schema.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise ConfigurationError(f"{folder} holds no {MANIFEST}; give the folder of a {schema} artifact")
+    manifest = _parsed_manifest(path.read_bytes(), str(path))
+    if not compatible(manifest.schema_id, schema):
+        raise ArtifactError(f"{folder} is {manifest.schema_id}, but {schema} is wanted here")
+    return manifest
+
+
+def artifact_in(folder: Path, schema: str, model: type[M]) -> Artifact[M]:
+    """An artifact in a folder of its own, verified. Raises as `manifest_in`, and ArtifactError for damage."""
+    manifest = manifest_in(folder, schema)
+    if damage := folder_damage(folder, manifest.digest):
+        raise ArtifactError(damage)
+    return Artifact(folder, manifest.digest, manifest, read_metadata(manifest, model))
 
 
 class Record(Closed):

@@ -27,7 +27,7 @@ class MaskMix(Closed):
 
 
 SMALL = PriorSpec(
-    size=128,
+    size=64,
     width=48,
     multipliers=(1, 2, 4),
     blocks=(2, 2, 2),
@@ -38,12 +38,16 @@ SMALL = PriorSpec(
     loss_region="hole",
     prediction="residual",
 )
-"""6.4 M parameters; 128 pixels at the cost of 64."""
+"""6.4 M parameters; 64 pixels, which the network sees as 32 of four times the channels."""
 
 
 class Config(Closed):
     """How the prior is built and for how long it learns."""
 
+    start: Literal["pretrained-prior", "fresh"] = Field(
+        default="pretrained-prior",
+        description="where the weights start: from the pretrained prior, if one is wired, or from nothing (the paper)",
+    )
     prior: PriorSpec = Field(
         default=SMALL, description="architecture and conditioning; a pretrained prior brings its own"
     )

@@ -1,11 +1,13 @@
 """A general prior of an image corpus alone, on as many processes as torchrun starts (D12).
 
-    torchrun --nproc-per-node 2 -m inpaint3d.stages.diffusion_training.pretrain CORPUS OUT [--config FILE]
+    torchrun --nproc-per-node 2 -m inpaint3d.stages.diffusion_training.pretrain CORPUS OUT [--config FILE] [--start DIR]
 
-CORPUS is an image-corpus artifact, FILE holds parameters of the stage as YAML. The `parts` of a step are shared out
-over the processes, so that their number changes nothing of what is learnt but the order of sums. Stopped or killed, the
-same command goes on from OUT/checkpoint.safetensors. OUT/prior becomes a diffusion-prior artifact, for
-`inpaint3d run --prior OUT/prior`.
+CORPUS is an image-corpus artifact, FILE holds parameters of the stage as YAML, DIR is a diffusion-prior artifact to go
+on from, with a fresh optimiser. The `parts` of a step are shared out over the processes, so that their number changes
+nothing of what is learnt but the order of sums. Stopped or killed, the same command goes on from
+OUT/checkpoint.safetensors. OUT/prior becomes a diffusion-prior artifact in half precision, for
+`inpaint3d run --prior OUT/prior`. OUT/held_out.png shows pictures of the corpus, which may not be ours to pass on: it
+is not part of the artifact.
 """
 
 import argparse
@@ -23,14 +25,14 @@ from inpaint3d.contracts.canonical import canonical_json
 from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.documents import load_yaml
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Inpaint3dError, from_os_error
-from inpaint3d.contracts.manifest import MANIFEST, Manifest, build_manifest, first_error, read_metadata
-from inpaint3d.contracts.store import Artifact
+from inpaint3d.contracts.manifest import MANIFEST, build_manifest, first_error
+from inpaint3d.contracts.store import artifact_in
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.parallel import join_ranks, leave_ranks, own_parts, rank
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.grids import held_out_grid
 from inpaint3d.stages.diffusion_training.pictures import corpus_pictures
-from inpaint3d.stages.diffusion_training.run import runtime_of, write_curve
+from inpaint3d.stages.diffusion_training.run import load_pretrained, runtime_of, write_curve
 from inpaint3d.stages.diffusion_training.teaching import EXAM_SEED, begin_or_resume, judge, lesson_of, train
 
 
@@ -39,12 +41,13 @@ def main() -> None:
     parser.add_argument("corpus", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--config", type=Path, help="parameters of diffusion-training, YAML")
+    parser.add_argument("--start", type=Path, help="diffusion-prior artifact to go on from")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     join_ranks()
     try:
-        pretrain(options.corpus, options.out, _config(options.config), options.seed)
+        pretrain(options.corpus, options.out, _config(options.config), options.seed, options.start)
     except (Inpaint3dError, OSError) as error:
         failure = from_os_error(error) if isinstance(error, OSError) else error
         sys.stderr.write(f"pretrain: {failure.kind}: {failure}\n")
@@ -53,17 +56,17 @@ def main() -> None:
         leave_ranks()
 
 
-def pretrain(folder: Path, out: Path, config: Config, seed: int) -> None:
+def pretrain(folder: Path, out: Path, config: Config, seed: int, start: Path | None = None) -> None:
     """Train, and on the first rank write the artifact.
 
-    Raises BadInputError for a folder that is no corpus to learn from, ConfigurationError for parts that the ranks
-    cannot share.
+    Raises ConfigurationError for folders that hold no corpus or prior and for parts that the ranks cannot share,
+    BadInputError for a corpus that has nothing to learn from.
     """
     try:
         own_parts(config.parts)
     except ValueError as error:
         raise ConfigurationError(f"parts: {error}") from error
-    corpus = _corpus(folder)
+    corpus = artifact_in(folder, "image-corpus@1", ImageCorpus)
     training, held_out = corpus_pictures(corpus), corpus_pictures(corpus, "test")
     if not training or not held_out:
         raise BadInputError(
@@ -73,40 +76,33 @@ def pretrain(folder: Path, out: Path, config: Config, seed: int) -> None:
     work.mkdir(parents=True, exist_ok=True)
     ctx = Context(seed=seed, device="cpu", threads=1, work=work, emit=_say)
     signal.signal(signal.SIGTERM, lambda *_: setattr(ctx, "stopping", True))
-    lesson = lesson_of(config, config.prior, training, held_out)
+    pretrained = artifact_in(start, "diffusion-prior@1", DiffusionPrior) if start else None
+    spec = pretrained.metadata.spec if pretrained else config.prior
+    lesson = lesson_of(config, spec, training, held_out)
     checkpoint = out / "checkpoint.safetensors"
-    state = begin_or_resume(config, config.prior, None, ctx, checkpoint)
-    train(state, config, lesson, ctx, checkpoint, fine_tuning=False)
+    weights = load_pretrained(pretrained) if pretrained else None
+    state = begin_or_resume(config, spec, weights, ctx, checkpoint)
+    train(state, config, lesson, ctx, checkpoint, fine_tuning=pretrained is not None)
     if rank() > 0:
         return
     prior = out / "prior"
     prior.mkdir(exist_ok=True)
-    save_prior(prior / "weights.safetensors", state.average)
+    save_prior(prior / "weights.safetensors", state.average, half=True)
     write_curve(prior / "training_curve.csv", state)
     generator = torch.Generator().manual_seed(EXAM_SEED)
-    held_out_grid(prior / "samples/held_out.png", state.average, lesson.exam, config.sample_steps, generator)
+    held_out_grid(out / "held_out.png", state.average, lesson.exam, config.sample_steps, generator)
     metadata = DiffusionPrior(
-        spec=config.prior,
-        **runtime_of(config, prior, config.prior),
-        samples=("samples/held_out.png",),
+        spec=spec,
+        **runtime_of(config, prior, spec),
         steps=state.step,
         seed=seed,
         trained_on=f"{len(training)} pictures of an image corpus",
+        start=pretrained.digest if pretrained else "scratch",
         held_out=judge(state.average, lesson.exam, config),
         non_finite=dict(ctx.non_finite),
     )
     manifest = build_manifest(prior, "diffusion-prior", metadata)
     (prior / MANIFEST).write_bytes(canonical_json(manifest.dumped()))
-
-
-def _corpus(folder: Path) -> Artifact[ImageCorpus]:
-    try:
-        manifest = Manifest.model_validate_json((folder / MANIFEST).read_bytes())
-    except (FileNotFoundError, ValidationError) as error:
-        raise BadInputError(
-            f"{folder} is no image-corpus artifact; make one with python -m inpaint3d.stages.diffusion_training.corpus"
-        ) from error
-    return Artifact(folder, manifest.digest, manifest, read_metadata(manifest, ImageCorpus))
 
 
 def _config(path: Path | None) -> Config:

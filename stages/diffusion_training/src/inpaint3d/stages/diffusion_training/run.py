@@ -36,13 +36,14 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     torch.set_num_threads(1)
     posed, masks = inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet)
     corpus = inputs.optional("image-corpus", ImageCorpus)
-    pretrained = inputs.optional("pretrained-prior", DiffusionPrior)
+    wired = inputs.optional("pretrained-prior", DiffusionPrior)
+    pretrained = wired if config.start == "pretrained-prior" else None
     spec = pretrained.metadata.spec if pretrained else config.prior
 
     training, held_out = known_pictures(posed, masks)
     learnt_too = corpus_pictures(corpus)
     lesson = lesson_of(config, spec, training, held_out, learnt_too, mask_shapes(training))
-    start = _load(pretrained) if pretrained else None
+    start = load_pretrained(pretrained) if pretrained else None
     checkpoint = ctx.work / "checkpoint.safetensors"
     state = begin_or_resume(config, spec, start, ctx, checkpoint)
     before = judge(state.average, lesson.exam, config) if start is not None else {}
@@ -72,7 +73,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     )
 
 
-def _load(pretrained: Artifact[DiffusionPrior]) -> InpaintingPrior:
+def load_pretrained(pretrained: Artifact[DiffusionPrior]) -> InpaintingPrior:
+    """The weights to start from; BadInputError where they are not those of the artifact's spec."""
     try:
         return load_prior(pretrained.path(pretrained.metadata.weights), pretrained.metadata.spec)
     except ValueError as error:

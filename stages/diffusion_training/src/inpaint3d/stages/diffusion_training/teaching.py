@@ -12,7 +12,7 @@ from torch import Tensor
 from inpaint3d.contracts.artifacts import PriorSpec
 from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.diffusion.judging import compare_fills
+from inpaint3d.diffusion.judging import fills, hole_psnr
 from inpaint3d.diffusion.parallel import own_parts, rank
 from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
 from inpaint3d.diffusion.training import (
@@ -26,6 +26,7 @@ from inpaint3d.diffusion.training import (
     train_step,
     warmed_up,
 )
+from inpaint3d.perception.lpips import enlarged, load
 from inpaint3d.scene.image_io import Mask
 from inpaint3d.stages.diffusion_training.ahead import MadeAhead
 from inpaint3d.stages.diffusion_training.config import Config
@@ -135,13 +136,21 @@ def _held_out_loss(state: TrainingState, config: Config, exam: Batch) -> float:
 
 
 def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, float]:
-    """Hole PSNR (dB) on held-out crops where the truth is known, beside two classical fills."""
+    """Hole PSNR (dB) and LPIPS (VGG) on held-out crops where the truth is known, beside two classical fills."""
     generator = torch.Generator().manual_seed(EXAM_SEED)
     region = exam.hole * exam.teach
     taught = region.sum(dim=(1, 2, 3)) > 0
     if not taught.any():
         return {}
-    figures, _ = compare_fills(
-        prior, exam.image[taught], exam.hole[taught], generator, region=region[taught], steps=config.sample_steps
-    )
+    image, hole, region = exam.image[taught], exam.hole[taught], region[taught]
+    figures = {"crops": float(len(image))}
+    for name, filled in fills(prior, image, hole, generator, steps=config.sample_steps).items():
+        figures[f"hole_psnr_{name}"] = float(hole_psnr(filled, image, region).mean())
+        figures[f"lpips_{name}"] = _lpips(torch.where(region > 0, filled, image), image)
     return figures
+
+
+@torch.no_grad()
+def _lpips(filled: Tensor, truth: Tensor) -> float:
+    pairs = zip(enlarged(filled).split(1), enlarged(truth).split(1), strict=True)
+    return float(np.mean([float(load("vgg").difference(a, b)) for a, b in pairs]))

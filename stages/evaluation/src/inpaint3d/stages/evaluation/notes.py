@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from inpaint3d.contracts.artifacts import MaskSet, Metric, Protocol
+from inpaint3d.stages.evaluation import prior
 from inpaint3d.stages.evaluation import protocols as names
 
 CONTROL = "continued-reconstruction"  # the label of a field that took the same steps without a prior
@@ -38,6 +39,12 @@ def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: b
                 f"Weak: outside the mask {first} does not beat {baseline} on held-out photos "
                 f"({known[first]:.2f} against {known[baseline]:.2f} dB)."
             )
+    crops = _values(done, prior.PRIOR, "lpips_vgg")
+    if prior.WIRED in crops and crops[prior.TUNED] >= crops[prior.WIRED]:
+        found.append(
+            f"Weak: fine-tuning the prior on this capture did not help it on held-out crops (LPIPS "
+            f"{crops[prior.WIRED]:.3f} before, {crops[prior.TUNED]:.3f} after)."
+        )
     opaque = _values(done, names.STATISTICS, "opaque_share").get(first)
     if opaque is not None and opaque < 0.95:
         found.append(f"Weak: {1 - opaque:.0%} of the hole's pixels are less than 95 % opaque; fog or gaps remain.")

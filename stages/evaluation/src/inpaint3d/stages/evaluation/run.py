@@ -5,7 +5,14 @@ from pathlib import Path
 
 import torch
 
-from inpaint3d.contracts.artifacts import Evaluation, MaskSet, PosedCapture, PosedTruth, RadianceFieldArtifact
+from inpaint3d.contracts.artifacts import (
+    DiffusionPrior,
+    Evaluation,
+    MaskSet,
+    PosedCapture,
+    PosedTruth,
+    RadianceFieldArtifact,
+)
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
@@ -23,6 +30,7 @@ from inpaint3d.stages.evaluation.photos import (
     read_masks,
 )
 from inpaint3d.stages.evaluation.pictures import coloured_depth, hidden, outlined, showing_most, side_by_side
+from inpaint3d.stages.evaluation.prior import held_out_crops
 from inpaint3d.stages.evaluation.protocols import (
     Bench,
     Tick,
@@ -42,6 +50,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     capture = inputs.one("posed-capture", PosedCapture)
     masks = inputs.one("mask-set", MaskSet)
     truth = inputs.optional("posed-truth", PosedTruth)
+    prior = inputs.optional("diffusion-prior", DiffusionPrior)
     methods = load_methods(inputs.many("radiance-fields", RadianceFieldArtifact), ctx.device)
     if not methods:
         raise BadInputError("evaluation needs at least one radiance field; wire one to its input radiance-fields")
@@ -62,6 +71,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         *held_out(bench, test, train, points),
         *hole_statistics(bench, shown),
         *neighbouring_views(bench, evenly_chosen(shown, config.neighbour_views), photos),
+        *(held_out_crops(prior.metadata) if prior else []),
     ]
 
     folder = outputs.folder("evaluation")
