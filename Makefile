@@ -58,8 +58,8 @@ bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields again
 bench-prior: .venv/.installed ## a prior on held-out photos against classical fills CORPUS=FOLDER [PRIOR=FOLDER]
 	.venv/bin/python -m benchmarks.prior $(CORPUS) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
 
-bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [PHOTOS=FOLDER]
-	.venv/bin/python -m benchmarks.unet $(if $(PHOTOS),--photos $(PHOTOS)) $(BENCH_OPTIONS)
+bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [CORPUS=FOLDER]
+	.venv/bin/python -m benchmarks.unet $(if $(CORPUS),--corpus $(CORPUS)) $(BENCH_OPTIONS)
 
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(BENCH_OPTIONS)

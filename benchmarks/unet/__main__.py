@@ -1,6 +1,6 @@
-"""What a step of the UNet costs against diffusers' UNet2DModel of equal size: `make bench-unet [PHOTOS=FOLDER]`.
+"""What a step of the UNet costs against diffusers' UNet2DModel of equal size: `make bench-unet [CORPUS=FOLDER]`.
 
-    python -m benchmarks.unet [--kinds KIND ...] [--paper] [--learn CPU_SECONDS --photos FOLDER] [--out FILE]
+    python -m benchmarks.unet [--kinds KIND ...] [--paper] [--learn CPU_SECONDS --corpus FOLDER] [--out FILE]
 
 Both are the network of the prior that the product trains by default: the same pictures in, the same out, parameters
 equal to 4 %, attention at the coarsest level alone. The peer is met twice: over the pixels (`peer`), and behind the
@@ -12,7 +12,8 @@ thread, ours and the peer's taken in turns; ratios are ours over the peer's, sma
 - denoising: forward of one picture, by the same kinds, and by onnxruntime.
 - decoding: pictures of 720 x 1280 decoded and cut by one thread while ours trains: the share of time it waited for
   them.
-- learning (`--learn`): held-out loss after as many CPU seconds of training, the same crops, rates and loss.
+- learning (`--learn`): held-out loss after as many CPU seconds of training on the image-corpus artifact --corpus, with
+  the same crops, rates and loss.
 - paper (`--paper`): parameters of the paper's configuration, and the seconds of one forward pass and one training step
   on one small picture: it needs 10 GiB.
 
@@ -31,20 +32,21 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from benchmarks.prior.train import crops, held_out_batch, split
 from benchmarks.provenance import REPOSITORY, commit
 from diffusers.models.unets.unet_2d import UNet2DModel
 from torch import Tensor, nn
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.artifacts import ImageCorpus, PriorSpec
+from inpaint3d.contracts.store import artifact_in
 from inpaint3d.diffusion.prior import InpaintingPrior, input_channels
 from inpaint3d.diffusion.runtimes import export_onnx, load_onnx
 from inpaint3d.diffusion.training import Batch, TrainingState, begin, denoising_loss, step_generators, train_step
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.diffusion_training.ahead import MadeAhead
-from inpaint3d.stages.diffusion_training.config import SMALL, MaskMix
-from inpaint3d.stages.diffusion_training.pictures import Cropper, StoredPicture
+from inpaint3d.stages.diffusion_training.config import SMALL, Config, MaskMix
+from inpaint3d.stages.diffusion_training.pictures import Cropper, StoredPicture, corpus_pictures
+from inpaint3d.stages.diffusion_training.teaching import lesson_of
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "unet.json"
 README = REPOSITORY / "stages" / "diffusion_training" / "README.md"
@@ -198,21 +200,22 @@ def decoding(spec: PriorSpec, count: int = 6) -> Figures:
         return {"waited_share": round(batches.waited_s / wall, 4), "seconds_a_step": round(wall / count, 3)}
 
 
-def learning(spec: PriorSpec, photos: Path, cpu_seconds: float) -> Figures:
-    """Held-out loss of ours and of the peers after the same CPU seconds on the same photos."""
-    training, held_out = split(photos)
-    pictures = [cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB) for path in training[:300]]
-    exam = held_out_batch(held_out)
+def learning(spec: PriorSpec, folder: Path, cpu_seconds: float) -> Figures:
+    """Held-out loss of ours and of the peers after the same CPU seconds on the same pictures."""
+    corpus = artifact_in(folder, "image-corpus@1", ImageCorpus)
+    config = Config(masks=MaskMix(rectangles=0.3, strokes=0.3, blobs=0.4, own=0.0), exam=64)
+    lesson = lesson_of(config, spec, corpus_pictures(corpus), corpus_pictures(corpus, "test"))
     figures: Figures = {"cpu_s": cpu_seconds}
     for name, network in contenders(spec).items():
         state = state_of(spec, network)
         start = time.process_time()
         while time.process_time() - start < cpu_seconds:
             rng, generator = step_generators(0, state.step)
-            batch = crops(pictures, BATCH, rng)
+            drawn = [lesson.capture[i] for i in rng.integers(len(lesson.capture), size=BATCH)]
+            batch = lesson.cropper.batch(drawn, rng)
             loss = lambda p, b=batch, g=generator: denoising_loss(p, b, g, (0.02, 1.0))  # noqa: E731
             train_step(state, loss, learning_rate=1e-3 * min(1.0, (state.step + 1) / 50), ema=0.99)
-        figures[name] = {"steps": state.step, "held_out_loss": round(exam_loss(state.average, exam), 4)}
+        figures[name] = {"steps": state.step, "held_out_loss": round(exam_loss(state.average, lesson.exam), 4)}
         print(name, figures[name], flush=True)
     return figures
 
@@ -270,6 +273,12 @@ def table(report: Figures) -> str:
     if "decoding" in report:
         share = report["decoding"]["waited_share"]
         lines += ["", f"Training waited for pictures of 720 x 1280 for {share:.1%} of its time."]
+    if "learning" in report:
+        losses = ", ".join(
+            f"{name} {report['learning'][key]['held_out_loss']:.3f}"
+            for key, name in (("ours", "ours"), ("peer", "UNet2DModel"), ("peer_packed", "packed"))
+        )
+        lines += ["", f"Held-out loss after {report['learning']['cpu_s']:.0f} CPU seconds of training each: {losses}."]
     if "paper" in report:
         p = report["paper"]
         lines += [
@@ -287,11 +296,11 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="*", default=KINDS[:-1], choices=KINDS, metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--paper", action="store_true")
     parser.add_argument("--learn", type=float, metavar="CPU_SECONDS")
-    parser.add_argument("--photos", type=Path, metavar="FOLDER")
+    parser.add_argument("--corpus", type=Path, metavar="FOLDER")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
-    if options.learn and not options.photos:
-        parser.error("--learn needs --photos FOLDER")
+    if options.learn and not options.corpus:
+        parser.error("--learn needs --corpus FOLDER")
     torch.set_num_threads(1)
     report: Figures = json.loads(options.out.read_text()) if options.out.exists() else {}
     report |= {
@@ -311,7 +320,7 @@ def main() -> None:
         report["parameters"] = {name: count(network) for name, network in contenders(SMALL).items()}
         report["decoding"] = decoding(SMALL)
     if options.learn:
-        report["learning"] = learning(SMALL, options.photos, options.learn)
+        report["learning"] = learning(SMALL, options.corpus, options.learn)
     write(report, options.out)
 
 

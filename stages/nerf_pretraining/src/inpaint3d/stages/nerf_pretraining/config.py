@@ -47,6 +47,8 @@ class Config(Closed):
     score_every: Count = Field(default=200, description="steps between points of the learning curve")
     score_views: Count = Field(default=4, description="held-out views that a point is taken over, at most")
     score_side: Count = Field(default=96, description="longest side of the pictures that a point is taken over, pixels")
-    view_side: Count = Field(default=160, description="longest side of the stored renders of each view, pixels")
+    view_side: Count = Field(
+        default=128, description="longest side of the stored renders of each view, pixels: masks are made of them"
+    )
     block: Count = Field(default=4096, description="rays rendered at once where there is no other limit (memory)")
     checkpoint_every_s: Positive = Field(default=20.0, description="seconds between checkpoints; no effect on results")

@@ -50,7 +50,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
     write_curve(folder, curve)
-    score = HeldOut(test, config.view_side, ctx.device).psnr(field, config.block)
+    score = HeldOut(test, config.score_side, ctx.device).psnr(field, config.block)
     agrees = agreement(field, [view.camera for view in views], points, block=config.block)
     shown = write_views(
         folder,
