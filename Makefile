@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check install schemas format images bench-radiance bench-prior bench-unet bench-joint clean
+.PHONY: demo test check install schemas format images bench-radiance bench-prior bench-prior-variants bench-unet bench-joint clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -57,6 +57,9 @@ bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields again
 
 bench-prior: .venv/.installed ## a prior on held-out photos against classical fills CORPUS=FOLDER [PRIOR=FOLDER]
 	.venv/bin/python -m benchmarks.prior $(CORPUS) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
+
+bench-prior-variants: .venv/.installed ## which small prior learns most in an hour; hours CORPUS=FOLDER
+	.venv/bin/python -m benchmarks.prior.variants $(CORPUS) $(BENCH_OPTIONS)
 
 bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [CORPUS=FOLDER]
 	.venv/bin/python -m benchmarks.unet $(if $(CORPUS),--corpus $(CORPUS)) $(BENCH_OPTIONS)
