@@ -77,7 +77,10 @@ class Config(Closed):
     masks: MaskMix = MaskMix()
     corpus_share: Share = Field(default=0.5, description="share of crops from the image corpus, where one is wired")
     exam: Count = Field(default=24, description="held-out crops that the prior is judged on")
-    sample_steps: Count = Field(default=8, description="DDIM steps of the samples that it is judged by")
+    sample_steps: Count = Field(
+        default=3,
+        description="DDIM steps of the samples that it is judged by; more add grain that a small prior has not learnt",
+    )
     curve_rows: Count = Field(default=10, description="rows of the training curve")
     precision: Literal["auto", "fp32", "bf16"] = Field(
         default="auto", description="of the matrix products; auto: bf16 where the processor has units for it"
