@@ -84,3 +84,13 @@ def test_at_most_4096_sightings_are_looked_at_and_none_is_no_figure() -> None:
     assert many is not None
     assert many.points == 4096
     assert agreement(Wall(SPEC, 0), CAMERAS, on_the_wall(0)) is None
+
+
+def test_only_the_sightings_asked_for_are_looked_at() -> None:
+    points = on_the_wall(300)
+    points.xyz[::2, 0] = -0.1  # every other point lies behind the wall
+    before = np.repeat(np.arange(300) % 2 == 1, 2)
+    found = agreement(Wall(SPEC, 0), CAMERAS, points, among=before)
+    assert found is not None
+    assert (found.points, found.depth_error < 0.01) == (300, True)
+    assert agreement(Wall(SPEC, 0), CAMERAS, points, among=np.zeros(600, bool)) is None

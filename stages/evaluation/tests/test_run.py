@@ -147,6 +147,7 @@ def test_every_protocol_has_every_method(full):
         "held-out-known-pixels": fields | {"mean-colour", "nearest-photo-warped"},
         "hole-statistics": fields,
         "neighbouring-views": fields,
+        "sparse-points": fields,
     }
 
 
@@ -191,7 +192,8 @@ def test_pictures_and_report_are_there(full):
 
 def test_without_truth_the_report_says_so(store, inputs):
     root, evaluation = evaluated(store, inputs | {"radiance-fields": [field(store, "a")]}, perceptual=False)
-    assert [p.name for p in evaluation.protocols] == ["held-out-known-pixels", "hole-statistics", "neighbouring-views"]
+    names = ["held-out-known-pixels", "hole-statistics", "neighbouring-views", "sparse-points"]
+    assert [p.name for p in evaluation.protocols] == names
     assert "nothing here says whether the filling is true" in (root / "report.html").read_text()
 
 
@@ -199,7 +201,7 @@ def test_a_field_that_renders_nan_is_counted_and_never_averaged(store, inputs):
     fields = [field(store, "good"), field(store, "bad", poison=True)]
     _, evaluation = evaluated(store, inputs | {"radiance-fields": fields}, perceptual=False)
     assert evaluation.protocols == ()
-    assert set(evaluation.non_finite) == {"bad/view_002"}
+    assert set(evaluation.non_finite) == {"bad/view_002", "bad/sparse-points"}
     assert evaluation.non_finite["bad/view_002"] >= 24 * 18
 
 

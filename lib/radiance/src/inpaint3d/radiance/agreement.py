@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays
@@ -29,16 +30,21 @@ class Agreement(NamedTuple):
 
 @torch.no_grad()
 def agreement(
-    field: RadianceField, cameras: Sequence[Camera], points: SparsePoints, *, block: int = 4096
+    field: RadianceField,
+    cameras: Sequence[Camera],
+    points: SparsePoints,
+    *,
+    among: NDArray[np.bool_] | None = None,
+    block: int = 4096,
 ) -> Agreement | None:
     """Look from the cameras at the points that they saw (at most 4096 sightings, evenly chosen); None without any.
 
-    `points.track_frame` indexes `cameras`.
+    `points.track_frame` indexes `cameras`. among: which rows of the tracks to look at, if not at all, bool [t].
     """
-    sightings = len(points.track_frame)
-    if not sightings:
+    sightings = np.arange(len(points.track_frame)) if among is None else np.flatnonzero(among)
+    if not len(sightings):
         return None
-    chosen = np.unique(np.linspace(0, sightings - 1, MOST).round().astype(int))
+    chosen = sightings[np.unique(np.linspace(0, len(sightings) - 1, MOST).round().astype(int))]
     origins = np.stack([camera.centre for camera in cameras])[points.track_frame[chosen]]
     offsets = points.xyz[points.track_point[chosen]] - origins
     distance = np.linalg.norm(offsets, axis=1)

@@ -40,6 +40,7 @@ from inpaint3d.stages.evaluation.protocols import (
     neighbouring_views,
 )
 from inpaint3d.stages.evaluation.report import Curve, Report, Strip, write_report
+from inpaint3d.stages.evaluation.sparse import sparse_points
 
 CONTACT = "pictures/before_mask_after_depth.png"
 
@@ -65,12 +66,13 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     whole = len({p.name for p in test + shown}) + config.neighbour_views + min(len(truths), config.picture_views)
     steps = len(truths) + len(methods) * whole + 1
     bench = Bench(methods, config, tick=_counter(ctx, steps))
-    points = load_points(capture.path(capture.metadata.points)).xyz
+    points = load_points(capture.path(capture.metadata.points))
     done = [
         *against_truth(bench, truths),
-        *held_out(bench, test, train, points),
+        *held_out(bench, test, train, points.xyz),
         *hole_statistics(bench, shown),
         *neighbouring_views(bench, evenly_chosen(shown, config.neighbour_views), photos),
+        *sparse_points(bench, [v.camera for v in load_posed(capture)], photos, points),
         *(held_out_crops(prior.metadata) if prior else []),
     ]
 

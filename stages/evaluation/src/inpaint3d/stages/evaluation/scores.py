@@ -34,6 +34,8 @@ KINDS: dict[str, Kind] = {
     "depth_spread": Kind("spread of depth along rays : distance", "1", "lower", 3),
     "reprojection_hole": Kind("colour difference to the next view, hole", "1", "lower", 4),
     "reprojection_known": Kind("the same, known pixels", "1", "lower", 4),
+    "depth_error": Kind("depth at sparse points, median relative error", "1", "lower", 4),
+    "floaters": Kind("opacity in front of sparse points", "1", "lower", 4),
     "gradient_ratio": Kind("gradient energy, hole : surround", "1", "nearer 1", 2),
 }
 

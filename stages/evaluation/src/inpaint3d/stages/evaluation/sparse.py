@@ -1,0 +1,54 @@
+"""Do the surfaces of the fields lie where the poses' own points are, and is the air before them clear?"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import Metric, Protocol
+from inpaint3d.radiance.agreement import FRONT, agreement
+from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.capture_io import SparsePoints
+from inpaint3d.stages.evaluation.photos import Photo
+from inpaint3d.stages.evaluation.protocols import Bench
+from inpaint3d.stages.evaluation.scores import metric
+
+SPARSE = "sparse-points"
+
+
+def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], points: SparsePoints) -> list[Protocol]:
+    """`sparse-points`: every field against the points that the photos saw outside their masks.
+
+    cameras: of all frames in order, at the size that the tracks are measured in; photos: the same frames, reduced. Where
+    one field's figures are not finite it is counted, and none is scored.
+    """
+    known = outside(points, cameras, photos)
+    metrics: list[Metric] = []
+    for method in bench.methods:
+        found = agreement(method.field, cameras, points, among=known, block=bench.config.block)
+        if found is None:
+            return []
+        if not np.isfinite((found.depth_error, found.floaters)).all():
+            bench.non_finite[f"{method.label}/{SPARSE}"] = 1
+            return []
+        for name, value in (("depth_error", found.depth_error), ("floaters", found.floaters)):
+            metrics.append(metric(method.label, name, value, found.points))
+    count = metrics[0].views
+    return [
+        Protocol(
+            name=SPARSE,
+            description=f"{count} sightings of the points that the poses were found with, as the photos saw them "
+            "outside their masks. Depth: median of the relative difference between a ray's median distance and its "
+            f"point's. Opacity in front: what a ray gathers in the first {FRONT:.0%} of the way, 0 in clear air.",
+            metrics=tuple(metrics),
+        )
+    ]
+
+
+def outside(points: SparsePoints, cameras: list[Camera], photos: list[Photo]) -> NDArray[np.bool_]:
+    """Which rows of the tracks lie on known pixels of their photo, [t]."""
+    known = np.zeros(len(points.track_frame), bool)
+    for frame, (camera, photo) in enumerate(zip(cameras, photos, strict=True)):
+        rows = np.flatnonzero(points.track_frame == frame)
+        height, width = photo.hole.shape
+        x, y = (points.track_xy[rows] * (width / camera.width, height / camera.height)).astype(int).T
+        known[rows] = photo.known[y.clip(0, height - 1), x.clip(0, width - 1)]
+    return known

@@ -1,0 +1,24 @@
+import numpy as np
+
+from inpaint3d.scene.cameras import Camera, look_at
+from inpaint3d.scene.capture_io import SparsePoints
+from inpaint3d.stages.evaluation.photos import Photo
+from inpaint3d.stages.evaluation.sparse import outside
+
+CAMERA = Camera(60, 60, 24, 18, 48, 36, look_at((0.9, 0, 0.3), (0, 0, 0)))
+
+
+def photo(known: np.ndarray) -> Photo:
+    return Photo("view", "train", CAMERA.scaled(24, 18), np.zeros((18, 24, 3), np.float32), ~known, known)
+
+
+def test_sightings_under_a_mask_are_left_out_at_the_photos_own_size() -> None:
+    known = np.ones((18, 24), bool)
+    known[:, 12:] = False
+    points = SparsePoints(
+        xyz=np.zeros((2, 3), np.float32), rgb=np.zeros((2, 3), np.uint8), error=np.zeros(2, np.float32),
+        track_offsets=np.array([0, 2, 4]), track_frame=np.array([0, 1, 0, 1], np.int32),
+        track_xy=np.float32([[10, 10], [10, 10], [30, 10], [48, 36]]),
+    )  # fmt: skip
+    rows = outside(points, [CAMERA, CAMERA], [photo(known), photo(np.ones((18, 24), bool))])
+    assert rows.tolist() == [True, True, False, True]
