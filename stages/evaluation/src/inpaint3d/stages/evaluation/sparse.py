@@ -17,8 +17,8 @@ SPARSE = "sparse-points"
 def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], points: SparsePoints) -> list[Protocol]:
     """`sparse-points`: every field against the points that the photos saw outside their masks.
 
-    cameras: of all frames in order, at the size that the tracks are measured in; photos: the same frames, reduced. Where
-    one field's figures are not finite it is counted, and none is scored.
+    cameras: of all frames in order, at the size that the tracks are measured in; photos: the same frames, reduced.
+    Where one field's figures are not finite it is counted, and none is scored.
     """
     known = outside(points, cameras, photos)
     metrics: list[Metric] = []
