@@ -3,13 +3,15 @@
     python containers/build.py [--only NAME ...] [--base IMAGE] [--registry PREFIX] [--source URL]
                                [--variant cpu|cuda] [-- BUILDER OPTIONS]
 
-`buildah` does the work; what follows `--` is handed to it. Images are called PREFIX/inpaint3d/NAME:REVISION.
+`buildah` does the work; what follows `--` is handed to it. Images are called PREFIX/inpaint3d/NAME:REVISION. The stages
+with torch stand on one image, built before them: their Containerfiles name it as their base.
 """
 
 import argparse
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import yaml
@@ -20,11 +22,13 @@ from inpaint3d.contracts.stage import load_stage
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
+TORCH = "torch"
+ON_TORCH = f"ARG BASE=localhost/inpaint3d/{TORCH}\n"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", action="append", choices=names(), help="may be repeated; default: all")
+    parser.add_argument("--only", action="append", choices=stages(), help="may be repeated; default: all")
     parser.add_argument("--base", default="docker.io/library/python:3.12-slim")
     parser.add_argument("--registry", default="localhost")
     parser.add_argument("--source", help="where the code is published")
@@ -34,35 +38,43 @@ def main() -> None:
     given = parser.parse_args()
     revision = _said("git", "rev-parse", "--short=12", "HEAD")
     built = load_document(given.images, ImagesSpec)[0].model_dump()["spec"] if given.images.is_file() else {}
-    for name in given.only or names():
+    given.images.parent.mkdir(parents=True, exist_ok=True)
+    wanted = given.only or stages()
+    for name in [*([TORCH] if any(map(on_torch, wanted)) else []), *wanted]:
         tag = f"{given.registry}/inpaint3d/{name}:{revision}"
-        build(name, tag, revision, given)
-        digest = _said("buildah", "inspect", "--type", "image", "--format", "{{.FromImageDigest}}", tag)
-        built[f"inpaint3d/{name}"] = {"image": tag, "digest": digest}
-        given.images.parent.mkdir(parents=True, exist_ok=True)
-        document = {"apiVersion": "inpaint3d/v1", "kind": "Images", "spec": built}
-        given.images.write_text(yaml.safe_dump(document, sort_keys=False))
-        sys.stdout.write(f"{tag} {digest}\n")
+        base = f"{given.registry}/inpaint3d/{TORCH}:{revision}" if on_torch(name) else given.base
+        began = time.monotonic()
+        build(name, tag, base, revision, given)
+        digest = _digest(tag)
+        sys.stdout.write(f"{tag} {digest} {time.monotonic() - began:.0f} s\n")
+        if name != TORCH:
+            built[f"inpaint3d/{name}"] = {"image": tag, "digest": digest}
+            document = {"apiVersion": "inpaint3d/v1", "kind": "Images", "spec": built}
+            given.images.write_text(yaml.safe_dump(document, sort_keys=False))
 
 
-def names() -> list[str]:
-    """Every image there is a Containerfile for."""
-    return sorted(path.stem for path in HERE.glob("*.Containerfile"))
+def stages() -> list[str]:
+    """Every image that somebody runs: those of the stages, and the orchestrator's."""
+    return sorted(path.stem for path in HERE.glob("*.Containerfile") if path.stem != TORCH)
 
 
-def build(name: str, tag: str, revision: str, given: argparse.Namespace) -> None:
+def on_torch(name: str) -> bool:
+    """Whether an image's own Containerfile says that it stands on the one with torch."""
+    return ON_TORCH in (HERE / f"{name}.Containerfile").read_text()
+
+
+def build(name: str, tag: str, base: str, revision: str, given: argparse.Namespace) -> None:
     labels = {
         "org.opencontainers.image.title": f"inpaint3d/{name}",
-        "org.opencontainers.image.revision": revision,
+        # The one with torch is the same for every revision of the same lock, and so are the layers on it.
+        **({"org.opencontainers.image.revision": revision} if name != TORCH else {}),
         "org.opencontainers.image.licenses": "Apache-2.0",
-        "org.opencontainers.image.base.name": given.base,
-        "org.opencontainers.image.base.digest": _said(
-            "buildah", "inspect", "--type", "image", "--format", "{{.FromImageDigest}}", given.base
-        ),
+        "org.opencontainers.image.base.name": base,
+        "org.opencontainers.image.base.digest": _digest(base),
         **({"org.opencontainers.image.source": given.source} if given.source else {}),
         **contract_labels(name),
     }
-    arguments = {"BASE": given.base, "VARIANT": given.variant}
+    arguments = {"BASE": base, **({"VARIANT": given.variant} if name == TORCH else {})}
     line = ["buildah", "build", "--layers"]
     line += [part for key, value in arguments.items() for part in ("--build-arg", f"{key}={value}")]
     line += [part for key, value in labels.items() for part in ("--label", f"{key}={value}")]
@@ -81,6 +93,10 @@ def contract_labels(name: str) -> dict[str, str]:
         "inpaint3d.inputs": json.dumps({p: d.schema_range for p, d in stage.spec.inputs.items()}),
         "inpaint3d.outputs": json.dumps({p: d.schema_id for p, d in stage.spec.outputs.items()}),
     }
+
+
+def _digest(image: str) -> str:
+    return _said("buildah", "inspect", "--type", "image", "--format", "{{.FromImageDigest}}", image)
 
 
 def _said(*line: str) -> str:
