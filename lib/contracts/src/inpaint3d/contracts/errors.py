@@ -65,6 +65,16 @@ EXIT_CODES: dict[int, str] = {
 }  # fmt: skip
 """Exit code -> what it means."""
 
+MEANINGS: dict[str, str] = {
+    "1": "a bug, or an error nobody foresaw; its log has the traceback",
+    "2": "a parameter is unknown or out of range",
+    "3": "bad input - an artifact is missing, damaged, or not what its schema says",
+    "5": "storage - the disk is full or the store cannot be written",
+    "75": "retryable - the same inputs may work another time: the bucket did not answer, for example",
+    "143": "stopped",
+}
+"""What every stage's exit codes mean, where its stage.yaml does not say more."""
+
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 

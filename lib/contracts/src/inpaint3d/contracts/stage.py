@@ -3,17 +3,28 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, field_validator
 
 from inpaint3d.contracts.artifacts import SCHEMAS
 from inpaint3d.contracts.documents import line_of, load_document
-from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.errors import MEANINGS, ConfigurationError
 from inpaint3d.contracts.manifest import SchemaId, split_schema
 from inpaint3d.contracts.model import Closed, PortName
 
 API_VERSION = "inpaint3d/v1"
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*$")]
 Quantity = Annotated[str, StringConstraints(pattern=r"^\d+(\.\d+)?(m|Ki|Mi|Gi|Ti)?$")]
+
+
+_FACTORS = {"m": 1e-3, "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}
+
+
+def memory_bytes(quantity: Quantity) -> int:
+    """`8Gi` -> 8589934592."""
+    for suffix, factor in _FACTORS.items():
+        if quantity.endswith(suffix):
+            return int(float(quantity.removesuffix(suffix)) * factor)
+    return int(float(quantity))
 
 
 class InputPort(Closed):
@@ -55,7 +66,15 @@ class StageBody(Closed):
     gpu: Literal["none", "optional"] = "none"
     determinism: Literal["exact"] | Tolerance = "exact"
     activeDeadlineSeconds: Annotated[int, Field(ge=1)] | None = None  # noqa: N815 - Kubernetes' spelling
-    exitCodes: dict[str, str] = {}  # noqa: N815
+    exitCodes: dict[str, str] = Field(  # noqa: N815
+        default={}, validate_default=True, description="what this stage adds to what every stage's codes mean"
+    )
+
+    @field_validator("exitCodes")
+    @classmethod
+    def _with_those_of_all(cls, given: dict[str, str]) -> dict[str, str]:
+        merged = {**MEANINGS, **given}
+        return {code: merged[code] for code in sorted(merged, key=int)}
 
 
 class StageSpec(Closed):
