@@ -1,15 +1,39 @@
-from inpaint3d.contracts.store import Store
+import pytest
+
+from inpaint3d.contracts.artifacts import Source
+from inpaint3d.contracts.errors import RetryableError
+from inpaint3d.contracts.store import Record, Store
 from inpaint3d.orchestrator.housekeeping import collect
 
-KEYS = ["sha256:" + c * 64 for c in "ab"]
+KEY = "sha256:" + "a" * 64
 
 
-def test_checkpoints_of_a_running_stage_are_kept(tmp_path):
+def committed(store):
+    """A result that no run's record names: as one that a stage has just committed."""
+    folder = store.private_folder()
+    (folder / "a.txt").write_text("a")
+    digest = store.put(folder, "source", Source(name="x", kind="folder"))
+    store.commit(Record(key=KEY, stage="s@1", components={}, outputs={"x": digest}, provenance={}, timings={}))
+    return digest
+
+
+def test_nothing_goes_while_the_store_is_in_use(tmp_path):
     store = Store(tmp_path)
-    running, left = (store.work_folder(k) for k in KEYS)
-    with store.lock(KEYS[0]):
+    digest, work = committed(store), store.work_folder(KEY)
+    with Store(tmp_path).in_use(), store.in_use(), pytest.raises(RetryableError, match="a run is using"):
         collect(store, keep=1, dry_run=False)
-        assert running.is_dir()
-        assert not left.exists()
+    assert store.lookup(KEY) is not None
+    assert work.is_dir()
     collect(store, keep=1, dry_run=False)
-    assert not running.exists()
+    assert not store.present(digest)
+    assert store.lookup(KEY) is None
+    assert not work.exists()
+
+
+def test_the_store_is_free_again_when_its_user_is_gone(tmp_path):
+    store = Store(tmp_path)
+    with store.in_use():
+        pass
+    with store.alone():
+        pass
+    collect(store, keep=1, dry_run=True)

@@ -24,14 +24,18 @@ def verify(store: Store) -> list[str]:
 def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
     """Remove what the last `keep` runs of each name, and the last `keep` whole ones, do not need.
 
-    Returns bytes and artifacts freed.
+    Returns bytes and artifacts freed. RetryableError while a run uses the store: what it has just committed is named by
+    no record yet.
     """
+    with store.alone():
+        return _collect(store, keep, dry_run=dry_run)
+
+
+def _collect(store: Store, keep: int, *, dry_run: bool) -> tuple[int, int]:
     keys, objects = _needed(store, keep)
     gone = [d for d in store.objects() if d not in objects]
     stale = [r.key for r in store.records() if r.key not in keys]
-    # The checkpoints of a stage that is running now are no litter.
-    litter = [p for p in (store.root / "work").iterdir() if not store.locked(p.name)]
-    litter += (store.root / "quarantine").iterdir()
+    litter = [p for folder in ("work", "quarantine") for p in (store.root / folder).iterdir()]
     freed = sum(map(store.size, gone)) + sum(map(_size, litter))
     if not dry_run:
         store.sweep_tmp()

@@ -90,7 +90,7 @@ class BucketStore(Store):
         paths = [*listed["common_prefixes"], *(entry["path"] for entry in listed["objects"])]
         return sorted(Path(path).name for path in paths)
 
-    def _verified(self, digest: Digest) -> Path:
+    def fetch(self, digest: Digest) -> Path:
         """Its folder in the cache, fetched if need be. One that is damaged in the bucket is quarantined there."""
         folder = self.object_path(digest)
         with self.lock(digest):

@@ -25,7 +25,7 @@ from typing import Any, TextIO, cast
 from pydantic import Field, ValidationError, field_validator
 
 from inpaint3d.contracts.context import Context, Inputs, Outputs
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
+from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, from_os_error
 from inpaint3d.contracts.keys import code_digest, key_components, run_key
 from inpaint3d.contracts.manifest import first_error
 from inpaint3d.contracts.model import Closed, Digest
@@ -82,8 +82,14 @@ def serve(module: str) -> None:
     if options.command == "describe":
         sys.stdout.write(stage_spec(module).model_dump_json(by_alias=True, indent=2) + "\n")
         return
+    # The first process of a container is deaf to what it has no handler for, and imports take seconds.
+    signal.signal(signal.SIGTERM, _leave_at_once)
     with _events() as events:
         sys.exit(_guarded(module, options.store, options.invocation, options.outputs, events))
+
+
+def _leave_at_once(_number: int, _frame: object) -> None:
+    sys.exit(InterruptedRun.exit_code)
 
 
 def stage_spec(module: str) -> StageSpec:
@@ -110,7 +116,7 @@ def execute(module: str, store: Store, invocation: Invocation, events: TextIO) -
         stub=invocation.stub,
     )
     key = run_key(components)
-    with store.lock(key):
+    with store.in_use(), store.lock(key):
         if (record := store.lookup(key)) is None:
             store.sweep_tmp()
             record = _run(module, spec, store, invocation, key, components, events)
@@ -217,7 +223,7 @@ def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | Non
     try:
         invocation = Invocation.model_validate_json(invocation_file.read_bytes())
         if invocation.die_with_parent:
-            _die_with_parent()
+            die_with_parent()
         # Native libraries read these when they are first imported, which is after this line.
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ[name] = str(invocation.threads)
@@ -286,7 +292,7 @@ def _stopping(ctx: Context) -> Generator[None]:
             signal.signal(number, handler)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Ask Linux for SIGTERM when the process that started this one dies, so that a kill leaves no orphan at work."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -25,7 +25,7 @@ from typing import Any, Generic, NoReturn, TypeVar
 from pydantic import ValidationError
 
 from inpaint3d.contracts.canonical import canonical_json, file_digest
-from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, from_os_error
+from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, RetryableError, from_os_error
 from inpaint3d.contracts.manifest import (
     MANIFEST,
     Manifest,
@@ -165,11 +165,12 @@ class Store:
 
     def open(self, digest: Digest, model: type[M]) -> Artifact[M]:
         """Open a verified artifact. A damaged one is quarantined and reported, never read."""
-        root = self._verified(digest)
+        root = self.fetch(digest)
         manifest = Manifest.model_validate_json((root / MANIFEST).read_bytes())
         return Artifact(root, digest, manifest, read_metadata(manifest, model))
 
-    def _verified(self, digest: Digest) -> Path:
+    def fetch(self, digest: Digest) -> Path:
+        """The folder of an artifact on this machine, verified. A damaged one is quarantined and reported."""
         if (damage := self.damage(digest)) is not None:
             self._refuse(digest, damage)
         return self.object_path(digest)
@@ -306,17 +307,22 @@ class Store:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
 
-    def locked(self, name: str) -> bool:
-        """Whether somebody holds a lock at this moment."""
-        path = self.root / "locks" / hex_of(name)
-        if not path.exists():
-            return False
-        with path.open("w") as file:
+    @contextlib.contextmanager
+    def in_use(self) -> Generator[None]:
+        """Keep `alone` away. Whoever writes or reads results holds it; any number may at a time."""
+        with (self.root / "locks" / "in-use").open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_SH)
+            yield
+
+    @contextlib.contextmanager
+    def alone(self) -> Generator[None]:
+        """Keep everybody else away, to remove things; RetryableError where the store is in use on this machine."""
+        with (self.root / "locks" / "in-use").open("w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return True
-        return False
+            except BlockingIOError as error:
+                raise RetryableError(f"a run is using {self.place}; try again when it has ended") from error
+            yield
 
     def sweep_tmp(self) -> None:
         """Remove what processes that are gone left in tmp/."""
