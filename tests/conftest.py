@@ -19,8 +19,9 @@ REPOSITORY = Path(__file__).parents[1]
 class Cli:
     """`inpaint3d` in a folder of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, extra: dict[str, str] | None = None) -> None:
         self.folder = folder
+        self.extra = extra or {}
         self.store: Path | str = folder / "store"
         self.runs = folder / "runs"
 
@@ -29,7 +30,7 @@ class Cli:
 
     def environment(self) -> dict[str, str]:
         places = {"STORE": self.store, "RUNS": self.runs, "CACHE": self.folder / "cache"}
-        return {**os.environ, **{f"INPAINT3D_{name}": str(place) for name, place in places.items()}}
+        return {**os.environ, **{f"INPAINT3D_{name}": str(place) for name, place in places.items()}, **self.extra}
 
     def __call__(self, *arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

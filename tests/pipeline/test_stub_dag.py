@@ -51,6 +51,18 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     assert "-> 2" in why
 
 
+def test_two_runs_are_compared_by_what_they_made(ran):
+    cli, arguments = ran
+    assert cli(*arguments, "--name", "again").returncode == 0
+    same = cli("compare", "tiny", "again")
+    assert same.returncode == 0, same.stdout
+    assert same.stdout.count("equal") >= len(PIPELINE.order)
+    assert cli(*arguments, "--name", "seeded", "--seed", "1").returncode == 0
+    other = cli("compare", "tiny", "seeded")
+    assert other.returncode == 3
+    assert "was asked something else" in other.stdout
+
+
 def test_plan_gives_reasons_without_running(ran):
     cli, arguments = ran
     rows = json.loads(cli("plan", *arguments[1:], "--set", "joint-optimization.guidance=2", "--json").stdout)

@@ -6,6 +6,7 @@ Exit codes are those of `inpaint3d.contracts.errors`: 0 done, 2 configuration, 3
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,23 +14,29 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
+from inpaint3d.contracts.cluster import Image, ImagesSpec
+from inpaint3d.contracts.documents import load_document
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Inpaint3dError, from_os_error
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import cluster_cli, housekeeping
+from inpaint3d.orchestrator import compare as comparison
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, figures_of, scenes_in, table_of
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import run_name, scenes_of, take_externals
 from inpaint3d.orchestrator.options import (
+    IMAGES,
     RUNS,
     STORE,
     AsJson,
     Capture,
     Corpus,
     Device,
+    Engine,
     Force,
     From,
+    Images,
     LogFormat,
     Mask,
     Name,
@@ -37,6 +44,7 @@ from inpaint3d.orchestrator.options import (
     PipelinePath,
     Preset,
     Prior,
+    RunnerName,
     RunsPath,
     Scene,
     Seed,
@@ -50,6 +58,8 @@ from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, previ
 from inpaint3d.orchestrator.progress import display_for
 from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.run import Scheduler
+from inpaint3d.orchestrator.runners.container import ContainerRunner, find_engine
+from inpaint3d.orchestrator.runners.process import ProcessRunner, Runner
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
 
@@ -83,6 +93,7 @@ def _planner(
     seed: int,
     device: str,
     stub: bool,
+    images: Mapping[str, Image] | None = None,
 ) -> Planner:
     return Planner(
         pipeline=pipeline,
@@ -95,7 +106,13 @@ def _planner(
         seed=seed,
         device=device,
         stub=stub,
+        images=images,
     )
+
+
+def _images(runner: str, file: Path) -> Mapping[str, Image] | None:
+    """The images whose digests stand for the stages' code, where stages run in them."""
+    return None if runner == "process" else load_document(file, ImagesSpec)[0].spec
 
 
 @app.command()
@@ -115,6 +132,9 @@ def run(
     seed: Seed = 0,
     device: Device = "cpu",
     stub: Stub = False,
+    runner: RunnerName = "process",
+    engine: Engine = None,
+    images: Images = IMAGES,
     store: StorePath = STORE,
     runs_dir: RunsPath = RUNS,
     pipeline: PipelinePath = None,
@@ -122,15 +142,17 @@ def run(
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
     checked, opened = Pipeline(find_pipeline(pipeline)), open_store(store)
+    built = _images(runner, images)
+    chosen = ProcessRunner() if built is None else ContainerRunner(find_engine(engine), built)
     codes: list[int] = []
     for path, scene_name in scenes_of(capture, scene, name):
-        planner = _planner(
-            path, store=opened, pipeline=checked, name=scene_name, mask=mask, preset=preset, assignments=assignments,
-            prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
-        )  # fmt: skip
-        record, code = _carry_out(
-            planner, Selection(only=only, start=start, until=until, force=force), runs_dir / planner.name, log_format
-        )
+        with opened.in_use():
+            planner = _planner(
+                path, store=opened, pipeline=checked, name=scene_name, mask=mask, preset=preset,
+                assignments=assignments, prior=prior, corpus=corpus, seed=seed, device=device, stub=stub, images=built,
+            )  # fmt: skip
+            selection = Selection(only=only, start=start, until=until, force=force)
+            record, code = _carry_out(planner, selection, runs_dir / planner.name, log_format, chosen)
         codes.append(code)
         if record.status == "stopped":
             break  # whoever stopped this scene meant the others too
@@ -166,12 +188,13 @@ def evaluate_dataset(
     scores: list[SceneScore] = []
     codes: list[int] = []
     for path in found:
-        planner = _planner(
-            path, store=opened, pipeline=checked, name=f"{dataset}-{path.name}", mask=None,
-            preset=preset or known.preset, assignments=assignments, prior=prior, corpus=corpus, seed=seed,
-            device=device, stub=stub,
-        )  # fmt: skip
-        record, code = _carry_out(planner, Selection(), runs_dir / planner.name, log_format)
+        with opened.in_use():
+            planner = _planner(
+                path, store=opened, pipeline=checked, name=f"{dataset}-{path.name}", mask=None,
+                preset=preset or known.preset, assignments=assignments, prior=prior, corpus=corpus, seed=seed,
+                device=device, stub=stub,
+            )  # fmt: skip
+            record, code = _carry_out(planner, Selection(), runs_dir / planner.name, log_format, ProcessRunner())
         codes.append(code)
         done = code == 0
         scores.append(figures_of(path.name, read_report(runs_dir / planner.name)) if done else SceneScore(path.name))
@@ -195,9 +218,11 @@ def _show_table(table: dict[str, Any]) -> None:
         sys.stdout.write(f"\n{row['name']}: {row['protocol'] or 'failed; see above'}\n")
 
 
-def _carry_out(planner: Planner, selection: Selection, folder: Path, log_format: str) -> tuple[RunRecord, int]:
+def _carry_out(
+    planner: Planner, selection: Selection, folder: Path, log_format: str, runner: Runner
+) -> tuple[RunRecord, int]:
     """Run, leave results in the folder, say how it ended; the record and the exit code."""
-    scheduler = Scheduler(planner, selection, display_for(log_format, planner.pipeline.order), folder)
+    scheduler = Scheduler(planner, selection, display_for(log_format, planner.pipeline.order), folder, runner)
     record = scheduler.run()
     publish(planner.store, record, folder)
     return record, _conclude(record, folder)
@@ -237,6 +262,8 @@ def plan(
     seed: Seed = 0,
     device: Device = "cpu",
     stub: Stub = False,
+    runner: RunnerName = "process",
+    images: Images = IMAGES,
     store: StorePath = STORE,
     pipeline: PipelinePath = None,
     as_json: AsJson = False,
@@ -245,6 +272,7 @@ def plan(
     planner = _planner(
         capture, store=open_store(store), pipeline=Pipeline(find_pipeline(pipeline)), name=name, mask=mask,
         preset=preset, assignments=assignments, prior=prior, corpus=corpus, seed=seed, device=device, stub=stub,
+        images=_images(runner, images),
     )  # fmt: skip
     _show_nodes(preview(planner, Selection(only=only, start=start, until=until, force=force)), as_json=as_json)
 
@@ -319,6 +347,28 @@ def verify(store: StorePath = STORE) -> None:
         sys.stdout.write(line + "\n")
     sys.stderr.write(f"{len(damaged)} damaged artifacts\n")
     raise typer.Exit(3 if damaged else 0)
+
+
+@app.command()
+def compare(
+    name: str,
+    other: str,
+    store: StorePath = STORE,
+    other_store: Annotated[str | None, typer.Option(help="where OTHER's artifacts are kept; default: --store")] = None,
+    pipeline: PipelinePath = None,
+) -> None:
+    """Say whether the last runs of NAME and OTHER made the same artifacts, whatever ran them; 3 where not."""
+    one, two = open_store(store), open_store(other_store or store)
+    rows = list(
+        comparison.compare(
+            Pipeline(find_pipeline(pipeline)), one, History(one).latest(name), two, History(two).latest(other)
+        )
+    )
+    table = Table("stage", "output", "", "", box=None)
+    for row in rows:
+        table.add_row(row.node, row.port, row.verdict, row.detail)
+    Console(width=140).print(table)
+    raise typer.Exit(0 if all(r.verdict in ("equal", "may differ") for r in rows) else BadInputError.exit_code)
 
 
 @app.command()

@@ -20,10 +20,12 @@ from inpaint3d.orchestrator.emit.argo import dump
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.intake import run_name, scenes_of, take_externals
 from inpaint3d.orchestrator.options import (
+    IMAGES,
     STORE,
     Capture,
     Corpus,
     Device,
+    Images,
     Mask,
     PipelinePath,
     Preset,
@@ -42,14 +44,11 @@ from inpaint3d.orchestrator.plan import find_pipeline
 emit_app = typer.Typer(no_args_is_help=True, help="Manifests for a cluster, and what is wrong with some.")
 
 Cluster = Annotated[Path, typer.Option("--cluster", envvar="INPAINT3D_CLUSTER", help="cluster.yaml: where to run")]
-Images = Annotated[
-    Path, typer.Option("--images", envvar="INPAINT3D_IMAGES", help="images.yaml, as `make images` wrote it")
-]
 AwaitMasks = Annotated[
     bool, typer.Option("--await-masks", help="wait before mask-authoring for somebody to author one")
 ]
 SubmissionName = Annotated[str | None, typer.Option("--name", help="default: the capture's folder name")]
-CLUSTER, IMAGES = Path("cluster.yaml"), Path(".cache/images.yaml")
+CLUSTER = Path("cluster.yaml")
 
 
 def add_to(app: typer.Typer) -> None:

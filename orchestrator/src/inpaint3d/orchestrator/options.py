@@ -29,6 +29,18 @@ LogFormat = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="seed of every stage")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="what stages that can use a GPU run on")]
+RunnerName = Annotated[
+    Literal["process", "container"],
+    typer.Option(
+        "--runner", envvar="INPAINT3D_RUNNER", help="each stage in this environment, or in an image of its own"
+    ),
+]
+Engine = Annotated[
+    str | None, typer.Option(envvar="INPAINT3D_ENGINE", help="for containers; default: podman or docker, as found")
+]
+Images = Annotated[
+    Path, typer.Option("--images", envvar="INPAINT3D_IMAGES", help="images.yaml, as `make images` wrote it")
+]
 Stub = Annotated[bool, typer.Option("--stub", help="run every stage's stub: the whole DAG in seconds, no numeric work")]
 Prior = Annotated[Path | None, typer.Option(help="folder of a diffusion-prior artifact to start from")]
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
@@ -36,3 +48,4 @@ AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 
 STORE = ".inpaint3d/store"
 RUNS = Path("runs")
+IMAGES = Path(".cache/images.yaml")

@@ -12,6 +12,7 @@ from inpaint3d.contracts.keys import Inputs, code_digest, key_components, run_ke
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.report import Change, NodeRun
+from inpaint3d.contracts.stage import StageSpec
 from inpaint3d.contracts.store import Record, Store
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.parameters import resolved
@@ -88,7 +89,7 @@ class Planner:
         spec = self.pipeline.stages[node]
         components = key_components(
             spec,
-            code=code_digest(spec.spec.module) if self.images is None else self.images[spec.spec.image].digest,
+            code=self._code(spec),
             parameters=self.parameters(node),
             inputs=inputs,
             seed=self.seed,
@@ -105,6 +106,13 @@ class Planner:
 
     def parameters(self, node: str) -> dict[str, Any]:
         return node_parameters(self.pipeline, node, self.preset, self.overrides)
+
+    def _code(self, spec: StageSpec) -> Digest:
+        if self.images is None:
+            return code_digest(spec.spec.module)
+        if spec.spec.image not in self.images:
+            raise ConfigurationError(f"images.yaml has no {spec.spec.image}; run `make images`")
+        return self.images[spec.spec.image].digest
 
     def _inputs(self, node: str) -> Inputs:
         ports = self.pipeline.stages[node].spec.inputs

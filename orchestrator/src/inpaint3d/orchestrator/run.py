@@ -19,10 +19,11 @@ from inpaint3d.contracts.store import Record
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.plan import Planner, Selection, Task, with_result
 from inpaint3d.orchestrator.progress import Display
-from inpaint3d.orchestrator.runners.process import Event, RunningStage, start
+from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, start
 
 RunStatus = Literal["running", "done", "failed", "waiting", "stopped"]
 POLL_S = 0.5
+KILLED = 128 + signal.SIGKILL
 
 
 @dataclass
@@ -33,6 +34,7 @@ class Scheduler:
     selection: Selection
     display: Display
     folder: Path
+    runner: Runner = field(default_factory=ProcessRunner)
     cores: int = field(default_factory=lambda: this_machine().cores)
     _running: dict[str, RunningStage] = field(default_factory=dict[str, RunningStage])
     _tasks: dict[str, Task] = field(default_factory=dict[str, Task])
@@ -117,7 +119,9 @@ class Scheduler:
             die_with_parent=True,
         )
         log = self.folder / "logs" / f"{task.node}.log"
-        self._running[task.node] = start(task.node, spec, self.planner.store, invocation, log, self._events)
+        self._running[task.node] = start(
+            task.node, self.runner, spec, self.planner.store, task.key, invocation, log, self._events
+        )
         self.display.node(task.node, "running", task.reason, threads=threads)
         self._save("running")
 
@@ -151,6 +155,9 @@ class Scheduler:
         code = code if code > 0 else 128 - code
         log = self.folder / "logs" / f"{task.node}.log"
         message = running.last_error.get("message") or f"{EXIT_CODES.get(code, 'died')} (exit {code})"
+        if code == KILLED:
+            limit = self.planner.pipeline.stages[task.node].spec.resources.limits.get("memory", "none")
+            message = f"it was killed (exit {code}), as a rule for its memory; its limit in a container is {limit}"
         if code not in EXIT_CODES or code == Inpaint3dError.exit_code:
             message = f"{message}; see {log}"
         status: Status = "failed"

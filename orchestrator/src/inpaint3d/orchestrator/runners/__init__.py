@@ -1,1 +1,1 @@
-"""How a stage is started: as a process of this machine, or (once there are images) in a container."""
+"""How a stage is started: as a process of this machine, or in a container."""

@@ -1,4 +1,4 @@
-"""A stage as a process of this machine."""
+"""A stage as a process of this machine, and what the scheduler sees of a stage however it runs."""
 
 import json
 import os
@@ -9,14 +9,31 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.shim import Invocation
 from inpaint3d.contracts.stage import StageSpec
 from inpaint3d.contracts.store import Store
 
 Event = tuple[str, Mapping[str, Any]]
 """(node, what the shim said); the last one of a node is `{"event": "exit", "code": …}`."""
+
+
+class Runner(Protocol):
+    """Says how a stage is started. The process it names prints the shim's events, honours SIGTERM, and exits with
+    the shim's codes once the result is in the store.
+    """
+
+    def command(self, spec: StageSpec, store: Store, key: Digest, request: Path) -> list[str]: ...
+
+
+class ProcessRunner:
+    """Stages as processes in this machine's own environment."""
+
+    def command(self, spec: StageSpec, store: Store, key: Digest, request: Path) -> list[str]:  # noqa: ARG002
+        """The shim works out the key itself."""
+        return [sys.executable, "-m", spec.spec.module, "run", "--store", store.place, "--invocation", str(request)]
 
 
 @dataclass
@@ -35,15 +52,19 @@ class RunningStage:
 
 
 def start(
-    node: str, spec: StageSpec, store: Store, invocation: Invocation, log: Path, events: "queue.Queue[Event]"
+    node: str,
+    runner: Runner,
+    spec: StageSpec,
+    store: Store,
+    key: Digest,
+    invocation: Invocation,
+    log: Path,
+    events: "queue.Queue[Event]",
 ) -> RunningStage:
     """Start a stage; what it says arrives in `events`, what it prints in `log`."""
-    request = log.with_suffix(".invocation.json")
+    request = log.with_suffix(".invocation.json").resolve()
     request.write_text(invocation.model_dump_json())
-    line = [
-        sys.executable, "-m", spec.spec.module, "run",
-        "--store", store.place, "--invocation", str(request.resolve()),
-    ]  # fmt: skip
+    line = runner.command(spec, store, key, request)
     with log.open("w") as errors:
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, text=True, env=_environment()
