@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test check install schemas format images bench-radiance bench-prior bench-prior-variants bench-unet bench-joint clean
+.PHONY: demo test test-kubernetes check install schemas format images bench-radiance bench-prior bench-prior-variants bench-unet bench-joint clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -26,8 +26,11 @@ demo: .venv/.installed ## take an object out of the demo capture; results in run
 	.venv/bin/inpaint3d run examples/demo/capture --mask examples/demo/mask.yaml --name demo
 
 test: .venv/.installed ## all tests: fast ones first, the real small pipeline last
-	$(TEST_ENV) .venv/bin/python -m pytest -q -m "not slow"
+	$(TEST_ENV) .venv/bin/python -m pytest -q -m "not slow and not kubernetes"
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m slow
+
+test-kubernetes: .venv/.installed ## every image as a Job of a real cluster [INPAINT3D_CLUSTER, INPAINT3D_IMAGES, AWS_*]
+	.venv/bin/python -m pytest -q -s -rs -m kubernetes tests/kubernetes
 
 check: .venv/.installed ## formatting, lint, types, import contracts, schema drift
 	.venv/bin/ruff format --check .
