@@ -23,6 +23,7 @@ from inpaint3d.contracts.stage import load_stage
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 TORCH = "torch"
+BUILDS = "image-builds.json"
 ON_TORCH = f"ARG BASE=localhost/inpaint3d/{TORCH}\n"
 
 
@@ -46,7 +47,8 @@ def main() -> None:
         began = time.monotonic()
         build(name, tag, base, revision, given)
         digest = _digest(tag)
-        sys.stdout.write(f"{tag} {digest} {time.monotonic() - began:.0f} s\n")
+        sys.stdout.write(f"{tag} {digest}\n")
+        _remember(given.images.with_name(BUILDS), name, tag, base, round(time.monotonic() - began, 1))
         if name != TORCH:
             built[f"inpaint3d/{name}"] = {"image": tag, "digest": digest}
             document = {"apiVersion": "inpaint3d/v1", "kind": "Images", "spec": built}
@@ -93,6 +95,13 @@ def contract_labels(name: str) -> dict[str, str]:
         "inpaint3d.inputs": json.dumps({p: d.schema_range for p, d in stage.spec.inputs.items()}),
         "inpaint3d.outputs": json.dumps({p: d.schema_id for p, d in stage.spec.outputs.items()}),
     }
+
+
+def _remember(file: Path, name: str, tag: str, base: str, seconds: float) -> None:
+    """What `measure.py` makes its table of."""
+    builds = json.loads(file.read_text()) if file.is_file() else {}
+    builds[name] = {"image": tag, "base": base, "seconds": seconds}
+    file.write_text(json.dumps(builds, indent=2) + "\n")
 
 
 def _digest(image: str) -> str:

@@ -27,6 +27,7 @@ WANTED = {
     "usd-export": {"torch", "usd-core", "scikit-image", "inpaint3d-kernels"},
     "orchestrator": {"hera"},
 }
+TORCH_BASE, PLAIN_BASE = "ARG BASE=localhost/inpaint3d/torch\n", "ARG BASE=docker.io/library/python:3.12-slim\n"
 
 
 def containerfile(name):
@@ -50,7 +51,7 @@ def distributions(name):
 
 def test_every_stage_has_an_image_of_its_own():
     files = {p.stem for p in (REPOSITORY / "containers").glob("*.Containerfile")}
-    assert files == {*STAGES, "orchestrator"} == set(WANTED)
+    assert files - {"torch"} == {*STAGES, "orchestrator"} == set(WANTED)
     assert {s.spec.image for s in STAGES.values()} == {f"inpaint3d/{n}" for n in STAGES}
 
 
@@ -63,10 +64,19 @@ def test_an_image_holds_what_its_stage_needs_and_nothing_else(name):
     assert {"inpaint3d-contracts", "obstore", "pydantic"} <= found
 
 
+@pytest.mark.parametrize("name", WANTED)
+def test_torch_is_the_layer_of_those_who_need_it(name):
+    found = distributions(name)
+    assert (TORCH_BASE in containerfile(name)) == ("torch" in found)
+    shared = {d for d in distributions("torch") if not d.startswith("inpaint3d-")}
+    assert "torch" in shared
+    assert shared <= found or "torch" not in found, "what the layer has, every image on it needs"
+
+
 @pytest.mark.parametrize("name", STAGES)
 def test_the_containerfiles_are_alike(name):
-    """But for the stage's name, and the compiler that the kernels need in the build stage."""
-    text, pattern = containerfile(name), containerfile("scene-analysis")
+    """But for the stage's name, the base with torch, and the compiler that the kernels need in the build stage."""
+    text, pattern = containerfile(name).replace(TORCH_BASE, PLAIN_BASE), containerfile("scene-analysis")
     compiler = "RUN apt-get update && apt-get install -y --no-install-recommends g++\n"
     assert (compiler in text) == ("inpaint3d-kernels" in distributions(name))
     plain = text.replace(compiler, "").replace(f"--package inpaint3d-{name}", "--package inpaint3d-scene-analysis")
