@@ -16,6 +16,10 @@ __all__ = ["bucket", "network"]
 REPOSITORY = Path(__file__).parents[1]
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "kubernetes: needs a cluster; `make test-kubernetes`")
+
+
 class Cli:
     """`inpaint3d` in a folder of its own."""
 
