@@ -4,7 +4,7 @@
                                [--variant cpu|cuda] [-- BUILDER OPTIONS]
 
 `buildah` does the work; what follows `--` is handed to it. Images are called PREFIX/inpaint3d/NAME:REVISION. The stages
-with torch stand on one image, built before them: their Containerfiles name it as their base.
+with torch stand on one image, built before them where there is none of the same lock: their Containerfiles name it.
 """
 
 import argparse
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import yaml
 
+from inpaint3d.contracts.canonical import digest_of, file_digest
 from inpaint3d.contracts.cluster import ImagesSpec
 from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.stage import load_stage
@@ -41,9 +42,12 @@ def main() -> None:
     built = load_document(given.images, ImagesSpec)[0].model_dump()["spec"] if given.images.is_file() else {}
     given.images.parent.mkdir(parents=True, exist_ok=True)
     wanted = given.only or stages()
+    torch = f"{given.registry}/inpaint3d/{TORCH}:{torch_version(given)}"
     for name in [*([TORCH] if any(map(on_torch, wanted)) else []), *wanted]:
-        tag = f"{given.registry}/inpaint3d/{name}:{revision}"
-        base = f"{given.registry}/inpaint3d/{TORCH}:{revision}" if on_torch(name) else given.base
+        tag = f"{given.registry}/inpaint3d/{name}:{revision}" if name != TORCH else torch
+        base = torch if on_torch(name) else given.base
+        if name == TORCH and _exists(torch):
+            continue
         began = time.monotonic()
         build(name, tag, base, revision, given)
         digest = _digest(tag)
@@ -63,6 +67,13 @@ def stages() -> list[str]:
 def on_torch(name: str) -> bool:
     """Whether an image's own Containerfile says that it stands on the one with torch."""
     return ON_TORCH in (HERE / f"{name}.Containerfile").read_text()
+
+
+def torch_version(given: argparse.Namespace) -> str:
+    """A name for all that the image with torch is made from: looking for gigabytes in a cache takes minutes."""
+    files = [ROOT / "pyproject.toml", ROOT / "uv.lock", HERE / f"{TORCH}.Containerfile"]
+    parts = [_digest(given.base), given.variant, *(file_digest(file) for file in files)]
+    return digest_of(parts).removeprefix("sha256:")[:12]
 
 
 def build(name: str, tag: str, base: str, revision: str, given: argparse.Namespace) -> None:
@@ -102,6 +113,10 @@ def _remember(file: Path, name: str, tag: str, base: str, seconds: float) -> Non
     builds = json.loads(file.read_text()) if file.is_file() else {}
     builds[name] = {"image": tag, "base": base, "seconds": seconds}
     file.write_text(json.dumps(builds, indent=2) + "\n")
+
+
+def _exists(image: str) -> bool:
+    return subprocess.run(["buildah", "inspect", "--type", "image", image], capture_output=True).returncode == 0
 
 
 def _digest(image: str) -> str:
