@@ -166,13 +166,13 @@ def records_of(store, stage):
 
 
 def test_too_little_memory_fails_without_a_retry_and_more_repairs_it(cluster, template, inputs, store):
-    cluster.apply(training(template, "hungry", inputs, memory="96Mi"))
+    cluster.apply(training(template, "hungry", inputs, memory="40Mi"))
     assert cluster.ended("hungry") == "PodFailurePolicy"
     (pod,) = cluster.pods("hungry")
     state = pod["status"]["containerStatuses"][0]["state"]["terminated"]
     assert (state["reason"], state["exitCode"]) == ("OOMKilled", 137)
     assert records_of(store, TRAINING) == []
-    cluster.say(f"96Mi: {state['reason']}, exit {state['exitCode']}, no retry, nothing committed")
+    cluster.say(f"40Mi: {state['reason']}, exit {state['exitCode']}, no retry, nothing committed")
     cluster.apply(training(template, "fed", inputs))
     assert cluster.ended("fed") == "Complete"
     cluster.say("with the limit of stage.yaml: Complete")
