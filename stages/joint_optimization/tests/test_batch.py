@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -30,6 +32,22 @@ def test_random_rays_are_uniform_over_known_and_masked_pixels(room: SyntheticSce
         own = owner == batch.rays.view[k]
         nearest = (pixels[own] @ batch.rays.directions[k]).argmax()
         assert bool(hidden[own][nearest]) == (k >= len(batch.target))
+
+
+def test_what_was_filled_is_drawn_in_the_share_that_is_asked(room: SyntheticScene) -> None:
+    """In place of masked rays, after the known ones, in the colours of the filled pictures."""
+    views = views_of(room)
+    filled = [replace(v, image=np.full_like(v.image, 0.1 * (i + 1))) for i, v in enumerate(views)]
+    bank = RayBank(views, "cpu", filled=filled, filled_share=0.25)
+    batch = bank.draw(400, patches=0, patch_size=8, generator=torch.Generator().manual_seed(0))
+    assert len(batch.target) == len(batch.rays.origins) == 400
+    assert batch.rays.view is not None
+    for k in range(400):
+        view = int(batch.rays.view[k])
+        (x, y), _ = room.cameras[view].project(room.cameras[view].centre + batch.rays.directions[k].numpy())
+        assert room.object_masks[view][int(y), int(x)] == (k >= 300)
+        wanted = filled[view] if k >= 300 else views[view]
+        np.testing.assert_array_equal(batch.target[k].numpy(), wanted.image[int(y), int(x)])
 
 
 def test_colours_belong_to_their_rays(room: SyntheticScene) -> None:

@@ -13,6 +13,7 @@ from inpaint3d.perception.lpips import load
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.beforehand import (
     PictureGuide,
+    ReferenceGuide,
     filled_classically,
     fixed_windows,
     sampled_views,
@@ -142,6 +143,19 @@ def test_a_picture_pulls_the_hole_by_lpips_alone(room: SyntheticScene, views: li
     end = descended(guide, start, hole, window, 15)
     before, after = (load("vgg").distance(x.numpy(), picture.numpy()) for x in (start, end))
     assert after < 0.7 * before
+
+
+def test_a_whole_picture_pulls_as_its_window_does(room: SyntheticScene, views: list[SceneView]) -> None:
+    window = window_of(views, 0, 32)
+    hole = torch.from_numpy(window.look_up(views[0].hole))
+    whole, part = room.empty_images[0], torch.from_numpy(window.look_up(room.empty_images[0]))
+    patch = torch.rand(32, 32, 3, generator=generator(1))
+    one, other = (
+        guide.gradient(patch, hole, window, TIMES, generator())[0]
+        for guide in (ReferenceGuide([whole], 32), PictureGuide([part], [window], 32))
+    )
+    torch.testing.assert_close(one, other)
+    assert one[hole].abs().sum() > 0
 
 
 @pytest.mark.parametrize("matching", ["nearest", "sliced"])

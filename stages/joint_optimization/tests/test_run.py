@@ -51,12 +51,14 @@ def test_nothing_under_the_mask_reaches_the_field(
     few = {"estimator": estimator, "steps": 5, "update_every": 2, "sample_steps": 2}
     marked = np.where(room.object_masks[..., None], np.array([1.0, 0.0, 1.0], np.float32), room.images)
     assert (marked != room.images).any()
-    clean = optimised(store, inputs(), **few)
-    marker = optimised(store, inputs(marked), **few)
+    # Pictures are carried by the depth of a field that saw the known pixels alone.
+    start = {"initial-field": optimised(store, inputs(), estimator="none").digest} if estimator == "reference" else {}
+    clean = optimised(store, inputs() | start, **few)
+    marker = optimised(store, inputs(marked) | start, **few)
     assert clean.digest == marker.digest
     # Something outside the mask does reach it: the test can see a difference.
     other = np.where(room.object_masks[..., None], room.images, 1 - room.images)
-    assert optimised(store, inputs(other), **few).digest != clean.digest
+    assert optimised(store, inputs(other) | start, **few).digest != clean.digest
 
 
 def test_reconstruction_learns_what_is_known(store: Store, inputs: Wired, room: SyntheticScene) -> None:
@@ -108,8 +110,17 @@ def test_without_a_prior_no_distillation_is_logged(store: Store, inputs: Wired) 
 def test_an_estimator_without_a_prior_is_a_configuration_error(store: Store, inputs: Wired) -> None:
     wired = inputs()
     del wired["diffusion-prior"]
-    with pytest.raises(ConfigurationError, match="set estimator to one of none, classical, features"):
+    with pytest.raises(ConfigurationError, match="set estimator to one of none, classical, features, reference"):
         optimised(store, wired, estimator="sds")
+
+
+def test_a_reference_needs_the_depth_of_a_field(store: Store, inputs: Wired) -> None:
+    with pytest.raises(ConfigurationError, match="wire one to the input initial-field"):
+        optimised(store, inputs(), estimator="reference")
+    first = optimised(store, inputs(), estimator="none")
+    result = optimised(store, inputs() | {"initial-field": first.digest}, estimator="reference", steps=3)
+    assert "of what is masked as other photos show it" in result.metadata.decisions["hole"]
+    assert result.metadata.decisions["cost"] == "no UNet evaluation"
 
 
 # What the exporter uses of torch and onnxscript is old to torch itself.
@@ -204,6 +215,7 @@ class _Stops(Context):
         {},
         {"estimator": "vsd"},
         {"estimator": "dataset-update", "update_every": 2},
+        {"estimator": "reference"},
         pytest.param({"ranks": 2}, marks=pytest.mark.slow),
     ],
 )
@@ -213,6 +225,8 @@ def test_stopped_and_resumed_is_the_run_without_the_stop(
     """What vsd's copy learnt and the pictures of dataset-update are in the checkpoint too, and all ranks stop alike."""
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
     config, wired = Config.model_validate(TINY | parameters), inputs()
+    if config.estimator == "reference":
+        wired["initial-field"] = optimised(store, wired, estimator="none").digest
 
     def artifact(work: Path, *stops: int | None) -> str:
         for stop in stops:

@@ -14,7 +14,7 @@ from inpaint3d.stages.joint_optimization.scene import SceneView
 
 @dataclass(frozen=True)
 class Batch:
-    """All rays of a step in one row: known pixels first, then masked ones, then depth patches.
+    """All rays of a step in one row: known pixels first (made-up ones last among them), then masked ones, then patches.
 
     target: colours [k, 3] of the first k rays; patches: (p, h, w) of the last p * h * w rays.
     """
@@ -25,12 +25,22 @@ class Batch:
 
 
 class RayBank:
-    """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper."""
+    """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper.
 
-    def __init__(self, views: Sequence[SceneView], device: str) -> None:
+    filled: the views again, their holes made up: of each batch the share `filled_share` shows what was made up, in
+    place of masked rays that nothing is known of.
+    """
+
+    def __init__(
+        self, views: Sequence[SceneView], device: str, *, filled: Sequence[SceneView] = (), filled_share: float = 0.0
+    ) -> None:
         cameras = [v.camera for v in views]
         self._known = Pixels.of(cameras, [v.image for v in views], [v.known for v in views], device)
         masked = any(v.hole.any() for v in views)
+        self._filled, self._filled_share = None, filled_share
+        if masked and filled:
+            self._filled = Pixels.of(cameras, [v.image for v in filled], [v.hole for v in views], device)
+            masked = False
         # The colours that ride along are blank: the scene holds nothing under the mask.
         self._masked = Pixels.of(cameras, [v.image for v in views], [v.hole for v in views], device) if masked else None
         self._cameras = CameraStack.of(cameras, device)
@@ -40,8 +50,13 @@ class RayBank:
         """`count` random rays and `patches` squares of neighbouring pixels of random views."""
         share = len(self._masked) / (len(self._masked) + len(self._known)) if self._masked else 0.0
         hidden = round(count * share)
-        known, target = self._known.draw(max(1, count - hidden), generator)
+        made_up = round(count * self._filled_share) if self._filled else 0
+        known, target = self._known.draw(max(1, count - hidden - made_up), generator)
         parts = [known]
+        if self._filled and made_up:
+            rays, colours = self._filled.draw(made_up, generator)
+            parts.append(rays)
+            target = torch.cat([target, colours])
         if self._masked and hidden:
             parts.append(self._masked.draw(hidden, generator)[0])
         if patches:

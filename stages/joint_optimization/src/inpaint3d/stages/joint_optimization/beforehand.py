@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from inpaint3d.diffusion.prior import InpaintingPrior
@@ -14,22 +14,20 @@ from inpaint3d.perception.lpips import enlarged, load
 from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Windows
 from inpaint3d.stages.joint_optimization.patches import Window, draw_window
 from inpaint3d.stages.joint_optimization.scene import SceneView
-
-RADIUS = 3.0
-"""Pixels around a missing one that Telea's method looks at."""
+from inpaint3d.stages.joint_optimization.texture import telea
 
 
 def filled_classically(views: Sequence[SceneView]) -> tuple[SceneView, ...]:
     """The views with their holes filled by Telea's method (2004) from their own known pixels, and no hole any more."""
-    return tuple(replace(v, image=_telea(v), known=v.known | v.hole, hole=np.zeros_like(v.hole)) for v in views)
-
-
-def _telea(view: SceneView) -> np.ndarray:
-    if not view.hole.any():
-        return view.image
-    codes = np.round(view.image.clip(0, 1) * 255).astype(np.uint8)
-    made = cv2.inpaint(codes, (~view.known).astype(np.uint8), RADIUS, cv2.INPAINT_TELEA)
-    return np.where(view.hole[..., None], made.astype(np.float32) / 255, view.image)
+    return tuple(
+        replace(
+            v,
+            image=np.where(v.hole[..., None], telea(v.image, ~v.known), v.image),
+            known=v.known | v.hole,
+            hole=np.zeros_like(v.hole),
+        )
+        for v in views
+    )
 
 
 def fixed_windows(views: Sequence[SceneView], *, size: int, span: float, least_known: float) -> Windows:
@@ -88,14 +86,45 @@ class PictureGuide:
         picture = self._pictures[window.view]
         if picture is None:
             raise ValueError(f"view {window.view} has no picture: it shows no hole")
-        rendered = patch.detach().requires_grad_()
-        pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
-        made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
-        (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
-        return gradient, float("nan")
+        return _likeness_gradient(patch, hole, picture), float("nan")
 
     def state(self) -> dict[str, Tensor]:
         return {}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         pass
+
+
+class ReferenceGuide:
+    """Whole pictures that agree with each other (`reference.completed`): LPIPS of the hole in any window of them."""
+
+    windows = None
+
+    def __init__(self, pictures: Sequence[NDArray[np.float32]], size: int) -> None:
+        self.size, self._pictures = size, pictures
+
+    def gradient(
+        self,
+        patch: Patch,
+        hole: Hole,
+        window: Window,
+        timesteps: tuple[float, float],  # noqa: ARG002 - nothing is noised here
+        generator: torch.Generator,  # noqa: ARG002 - nor drawn
+    ) -> tuple[Patch, float]:
+        picture = torch.from_numpy(np.ascontiguousarray(window.look_up(self._pictures[window.view]))).to(patch)
+        return _likeness_gradient(patch, hole, picture), float("nan")
+
+    def state(self) -> dict[str, Tensor]:
+        return {}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        pass
+
+
+def _likeness_gradient(patch: Patch, hole: Hole, picture: Patch) -> Patch:
+    """d(LPIPS to the picture)/d(patch), the patch's known part being the picture's own."""
+    rendered = patch.detach().requires_grad_()
+    pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
+    made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
+    (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
+    return gradient

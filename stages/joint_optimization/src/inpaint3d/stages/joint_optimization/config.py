@@ -16,11 +16,11 @@ Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 Estimator = Literal[
-    "none", "classical", "inpaint-then-nerf", "features",
+    "none", "classical", "inpaint-then-nerf", "features", "reference",
     "sds", "nfsd", "sdi", "ism", "vsd", "denoised-target", "dataset-update",
 ]  # fmt: skip
 WITHOUT_GUIDE = ("none", "classical")
-WITHOUT_PRIOR = (*WITHOUT_GUIDE, "features")
+WITHOUT_PRIOR = (*WITHOUT_GUIDE, "features", "reference")
 
 
 class Config(Closed):
@@ -30,7 +30,8 @@ class Config(Closed):
         default="denoised-target",
         description="what fills the hole: none (reconstruction only); baselines: classical (every view inpainted by "
         "OpenCV, then reconstructed), inpaint-then-nerf (every view sampled from the prior with one seed, LPIPS); "
-        "features (VGG16 features of the rest of the scene, no prior); the prior by sds (the paper), nfsd, sdi, ism, "
+        "features (VGG16 features of the rest of the scene, no prior); reference (what other photos show, the rest by "
+        "example in a reference view, carried by depth; no prior); the prior by sds (the paper), nfsd, sdi, ism, "
         "vsd, denoised-target, dataset-update",
     )
     ranks: Count = Field(
@@ -93,7 +94,13 @@ class Config(Closed):
         default="nearest", description="features: each to its nearest, or both sets by sliced Wasserstein distance"
     )
     references: Count = Field(default=2, description="features: windows of other views that a patch is matched with")
-    feature_size: Count = Field(default=64, description="features: side of the patch, pixels")
+    feature_size: Count = Field(default=64, description="features, reference: side of the patch, pixels")
+    reference_views: Count = Field(
+        default=4, description="reference: views in which what no photo shows is made up, at most"
+    )
+    filled_share: Share = Field(
+        default=0.4, description="reference: share of the rays of a step that are drawn from what was filled"
+    )
     t_max: Share = Field(default=0.95, description="largest diffusion time (S9)")
     t_min: Share = Field(
         default=0.95,

@@ -55,10 +55,12 @@ class Problem:
     seed: int
     fresh: bool
     diffuse_start: bool
+    filled: Sequence[SceneView] = ()
 
     @cached_property
     def bank(self) -> RayBank:
-        return RayBank(self.scene.train, str(self.field.device))
+        device, share = str(self.field.device), self.config.filled_share
+        return RayBank(self.scene.train, device, filled=self.filled, filled_share=share)
 
     def since(self, step: int) -> int:
         """Steps since the start of distillation (S6, S8); negative before it, and throughout without a guide."""

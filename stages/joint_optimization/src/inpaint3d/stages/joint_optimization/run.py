@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from inpaint3d.contracts.artifacts import DiffusionPrior, EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.context import Context, Inputs, Outputs
@@ -17,8 +19,10 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field, save_field
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.scene.image_io import read_exr
+from inpaint3d.stages.joint_optimization.appearance import Recolour
 from inpaint3d.stages.joint_optimization.beforehand import (
     PictureGuide,
+    ReferenceGuide,
     filled_classically,
     fixed_windows,
     sampled_views,
@@ -30,6 +34,7 @@ from inpaint3d.stages.joint_optimization.features import FeatureGuide
 from inpaint3d.stages.joint_optimization.guidance import DatasetGuide, Guide, PriorGuide, evaluations
 from inpaint3d.stages.joint_optimization.loop import Problem, optimise
 from inpaint3d.stages.joint_optimization.parallel import Ranks, together
+from inpaint3d.stages.joint_optimization.reference import completed
 from inpaint3d.stages.joint_optimization.scene import SceneView, distillable, load_scene
 from inpaint3d.stages.joint_optimization.shrink import shrunk
 
@@ -103,8 +108,10 @@ def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Proble
         diffuse_start=config.diffuse_start,
     )
     field = load_field(initial.path(initial.metadata.weights), spec) if initial else RadianceField(spec, seed)
-    reasons, to_fill = decisions.reasons, scene.train
-    if initial and config.estimator not in WITHOUT_GUIDE and config.hole == "unseen":
+    reasons, to_fill, filled = decisions.reasons, scene.train, ()
+    if config.estimator == "reference":
+        to_fill, filled, reasons["hole"] = complete(scene.train, field, initial, config)
+    elif initial and config.estimator not in WITHOUT_GUIDE and config.hole == "unseen":
         to_fill, reasons["hole"] = shrink_holes(scene.train, initial, config.witnesses)
     guide = load_guide(config, inputs, to_fill, seed, device)
     if guide is not None:
@@ -120,20 +127,50 @@ def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Proble
         seed=seed,
         fresh=initial is None,
         diffuse_start=decisions.diffuse_start,
+        filled=filled,
     )
     return problem, reasons
 
 
+def complete(
+    views: Views, field: RadianceField, initial: Artifact[RadianceFieldArtifact] | None, config: Config
+) -> tuple[Views, Views, str]:
+    """The views with nothing missing, in the mean appearance and each in its own, and how that was done, in words."""
+    if initial is None:
+        raise ConfigurationError(
+            "estimator 'reference' carries pictures by the depth of a field of the known pixels; wire one to the input "
+            "initial-field and set start: initial-field, or choose another estimator"
+        )
+    recolour = Recolour(field)
+    pictures, words = completed(
+        views,
+        depth_maps(views, initial),
+        recolour,
+        witnesses=config.witnesses,
+        references=config.reference_views,
+    )
+    alike = tuple(replace(v, image=picture) for v, picture in zip(views, pictures, strict=True))
+    own = tuple(
+        replace(v, image=recolour.from_mean(p, i)) for i, (v, p) in enumerate(zip(views, pictures, strict=True))
+    )
+    return alike, own, words
+
+
 def shrink_holes(views: Views, initial: Artifact[RadianceFieldArtifact], witnesses: int) -> tuple[Views, str]:
     """The views with holes reduced to what other views do not show, and what that left, in words."""
-    maps = {v.name: read_exr(initial.path(v.maps))["median.Z"] for v in initial.metadata.views}
-    if missing := [v.name for v in views if v.name not in maps]:
-        raise BadInputError(f"the initial field has no render of view {missing[0]}; it belongs to another capture")
-    reduced = tuple(shrunk(views, maps, witnesses))
+    reduced = tuple(shrunk(views, depth_maps(views, initial), witnesses))
     if not distillable(reduced):
         return views, "as masked: other views show all that is behind it"
     before, after = (sum(int(v.hole.sum()) for v in some) for some in (views, reduced))
     return reduced, f"{after / before:.0%} of what is masked, which {witnesses} other views do not show"
+
+
+def depth_maps(views: Views, initial: Artifact[RadianceFieldArtifact]) -> dict[str, NDArray[np.float32]]:
+    """By view, where the initial field's light stops, as its artifact has it."""
+    maps = {v.name: read_exr(initial.path(v.maps))["median.Z"] for v in initial.metadata.views}
+    if missing := [v.name for v in views if v.name not in maps]:
+        raise BadInputError(f"the initial field has no render of view {missing[0]}; it belongs to another capture")
+    return maps
 
 
 def load_guide(config: Config, inputs: Inputs, to_fill: Views, seed: int, device: str) -> Guide | None:
@@ -153,6 +190,8 @@ def load_guide(config: Config, inputs: Inputs, to_fill: Views, seed: int, device
             references=config.references,
             least_known=config.least_known,
         )
+    if config.estimator == "reference":
+        return ReferenceGuide([view.image for view in to_fill], config.feature_size)
     prior = load_network(config, inputs, device).to(device)
     if config.estimator in ("inpaint-then-nerf", "dataset-update"):
         size, g = prior.spec.size, config.guidance
@@ -189,7 +228,7 @@ def cost_in_words(config: Config) -> str:
     """UNet evaluations, for the artifact."""
     count = evaluations(config.estimator, guidance=config.guidance, steps=config.denoise_steps)
     match config.estimator:
-        case "features":
+        case "features" | "reference":
             return "no UNet evaluation"
         case "inpaint-then-nerf":
             each = config.sample_steps * (1 if config.guidance in (0.0, 1.0) else 2)

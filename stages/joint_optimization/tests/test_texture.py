@@ -1,0 +1,70 @@
+"""A hole filled by example, on patterns whose continuation is known."""
+
+import numpy as np
+import pytest
+
+from inpaint3d.stages.joint_optimization.texture import PATCH, synthesised, telea
+
+SHAPE = (60, 72)
+
+
+def hole_in_the_middle() -> np.ndarray:
+    hole = np.zeros(SHAPE, bool)
+    hole[24:38, 28:45] = True
+    return hole
+
+
+def stripes() -> np.ndarray:
+    """Six pixels to the period, so that every pixel of it is found elsewhere."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    wave = ((x + 2 * y) % 6 < 3).astype(np.float32)
+    return np.stack([wave, 1 - wave, 0.5 * wave], -1)
+
+
+def test_a_pattern_goes_on() -> None:
+    """Stripes are continued, edge for edge, where a smooth filling leaves grey."""
+    image, hole = stripes(), hole_in_the_middle()
+    blank = np.where(hole[..., None], 0, image).astype(np.float32)
+    made = synthesised(blank, hole, ~hole)
+    error, smooth = (np.abs(some - image)[hole].mean() for some in (made, telea(blank, hole)))
+    assert error < 0.05
+    assert smooth > 0.2
+
+
+def test_detail_is_that_of_the_surround() -> None:
+    """Noise has nothing to match, yet what is copied keeps its spread."""
+    image = np.random.default_rng(0).uniform(size=(*SHAPE, 3)).astype(np.float32)
+    hole = hole_in_the_middle()
+    made = synthesised(np.where(hole[..., None], 0, image).astype(np.float32), hole, ~hole)
+    assert 0.8 < made[hole].std() / image[~hole].std() < 1.2
+    # Every pixel of it is a pixel of the source.
+    apart = np.abs(made[hole][:, None] - image[~hole][None]).max(-1).min(1)
+    assert apart.max() == 0
+
+
+def test_patches_come_from_the_source_alone() -> None:
+    """Half of the picture is red, and only the other half may be copied."""
+    image = np.random.default_rng(1).uniform(size=(*SHAPE, 3)).astype(np.float32)
+    image[:, :36] = (1, 0, 0)
+    hole = hole_in_the_middle()
+    source = ~hole
+    source[:, :36] = False
+    made = synthesised(np.where(hole[..., None], 0, image).astype(np.float32), hole, source)
+    palette = image[source]
+    assert np.abs(made[hole][:, None] - palette[None]).max(-1).min(1).max() == 0
+
+
+def test_known_pixels_stay_and_the_hole_is_never_looked_at() -> None:
+    image, hole = stripes(), hole_in_the_middle()
+    marked = np.where(hole[..., None], np.array([1.0, 0.0, 1.0], np.float32), image)
+    made = synthesised(image, hole, ~hole)
+    np.testing.assert_array_equal(made[~hole], image[~hole])
+    np.testing.assert_array_equal(made, synthesised(marked, hole, ~hole))
+
+
+@pytest.mark.parametrize("side", [0, PATCH - 1])
+def test_without_a_whole_patch_to_copy_the_hole_is_filled_smoothly(side: int) -> None:
+    image, hole = stripes(), hole_in_the_middle()
+    source = np.zeros(SHAPE, bool)
+    source[:side, :side] = True
+    np.testing.assert_array_equal(synthesised(image, hole, source), telea(image, hole))
