@@ -7,7 +7,8 @@ reconstruction through the stage joint-optimization, with three seeds of that st
 default stand in rows.py.
 
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
-its checkpoint, and the file is written after every row. Pictures of each row lie in --work/pictures, to be looked at.
+its checkpoint, and the file is written after every row. What a step of score distillation costs beyond its parts is
+measured each time, in a second or two (cost.py). Pictures of each row lie in --work/pictures, to be looked at.
 Figures of rows that are not asked for stay as they were; each has the key of the run that it is of.
 
 --statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
@@ -24,6 +25,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from benchmarks.joint.cost import sds_step
 from benchmarks.joint.rows import (
     FIGURES,
     HOLES,
@@ -43,6 +45,7 @@ from benchmarks.joint.rows import (
 )
 
 from inpaint3d.contracts.artifacts import Evaluation
+from inpaint3d.contracts.context import Inputs
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.shim import Invocation
 from inpaint3d.contracts.store import Record, Store
@@ -107,6 +110,11 @@ class Bench:
         }
         took = {name: joint.timings[name] for name in ("wall_s", "cpu_s")}
         return figures | took | {"seed": seed, "key": joint.key}
+
+    def sds_step(self) -> dict[str, Any]:
+        """What a step of score distillation costs here, in CPU seconds (cost.py)."""
+        stage = self.pipeline.stages[JOINT]
+        return sds_step(Inputs(self.store, stage, self._inputs(JOINT)), guidance=1.0)
 
     def _inputs(self, node: str) -> dict[str, Any]:
         wired = self.pipeline.references(node)
@@ -188,8 +196,11 @@ def main() -> None:
     if kept.get("quick", options.quick) != options.quick:
         raise SystemExit(f"{out} is of a run {'with' if kept['quick'] else 'without'} --quick; give another --out")
     measured: Measured = kept.get("measured", {})
+    step: dict[str, Any] = {}
     for scene, (capture, mask) in captures.items():
         bench = Bench(scene, capture, mask, work, quick=options.quick)
+        if scene == "demo":
+            step = bench.sds_step()
         rows = measured.setdefault(scene, {})
         for row in options.rows:
             for seed in seeds:
@@ -197,13 +208,13 @@ def main() -> None:
                 figures = bench.measure(row, seed)
                 others = [run for run in rows.get(row, []) if run["seed"] != seed]
                 rows[row] = sorted([*others, figures], key=lambda run: run["seed"])
-                write(out, measured, quick=options.quick)
+                write(out, measured, step, quick=options.quick)
     print(table(measured))
     print(json.dumps(json.loads(out.read_text())["default"], indent=1))
 
 
-def write(out: Path, measured: Measured, *, quick: bool) -> None:
-    """The whole file, with what the rule makes of the rows so far."""
+def write(out: Path, measured: Measured, step: dict[str, Any], *, quick: bool) -> None:
+    """The whole file, with what the rule makes of the rows so far; step: what one of score distillation costs."""
     best = chosen(measured)
     result = {
         "machine": this_machine().model_dump(mode="json"),
@@ -211,6 +222,7 @@ def write(out: Path, measured: Measured, *, quick: bool) -> None:
         "holes": {scene: HOLES[scene] for scene in measured},
         "rule": RULE,
         "default": {"row": best, "shortfalls": shortfalls(measured, best) if best else []},
+        "sds_step": step,
         "measured": measured,
     }
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -24,6 +24,7 @@ ESTIMATORS: dict[str, Parameters] = {
     "dataset-update": {"estimator": "dataset-update"},
     "features-nearest": {"estimator": "features", "matching": "nearest"},
     "features-sliced": {"estimator": "features", "matching": "sliced"},
+    "reference": {"estimator": "reference"},
 }
 # What the preset `paper` says of the optimisation, at the size of field, rays and prior that all rows share.
 PAPER_NAMES = (

@@ -15,7 +15,9 @@ RunsPath = Annotated[
 Name = Annotated[str | None, typer.Option(help="name of the run; default: the capture's folder name")]
 Capture = Annotated[Path, typer.Argument(help="a folder of photos, a data set, or a video file")]
 Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: masks that came with the capture")]
-Preset = Annotated[str | None, typer.Option(help="draft, standard, high, paper or spin-nerf; default: the pipeline's")]
+Preset = Annotated[
+    str | None, typer.Option(help="draft, standard, creative, high, paper or spin-nerf; default: the pipeline's")
+]
 Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, may be repeated")]
 Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of CAPTURE; may be repeated: one run each")]
 Only = Annotated[str | None, typer.Option(help="run this stage alone")]

@@ -72,6 +72,8 @@ def sampled_views(
 class PictureGuide:
     """Pictures that were made beforehand: LPIPS of the hole, the rest of the patch being the picture's own."""
 
+    span = None
+
     def __init__(self, pictures: Sequence[Tensor | None], windows: Windows, size: int) -> None:
         self.windows, self.size, self._pictures = windows, size, pictures
 
@@ -96,9 +98,14 @@ class PictureGuide:
 
 
 class ReferenceGuide:
-    """Whole pictures that agree with each other (`reference.completed`): LPIPS of the hole in any window of them."""
+    """Whole pictures that agree with each other (`reference.completed`): LPIPS of the hole in any window of them.
 
-    windows = None
+    It sharpens what rays are fitted to pixel by pixel. Windows are small, since detail is what it is for.
+    """
+
+    windows, span = None, 0.3
+    STRENGTH = 3.0
+    """Times LPIPS, so that the weight that suits the priors suits it."""
 
     def __init__(self, pictures: Sequence[NDArray[np.float32]], size: int) -> None:
         self.size, self._pictures = size, pictures
@@ -112,7 +119,7 @@ class ReferenceGuide:
         generator: torch.Generator,  # noqa: ARG002 - nor drawn
     ) -> tuple[Patch, float]:
         picture = torch.from_numpy(np.ascontiguousarray(window.look_up(self._pictures[window.view]))).to(patch)
-        return _likeness_gradient(patch, hole, picture), float("nan")
+        return self.STRENGTH * _likeness_gradient(patch, hole, picture), float("nan")
 
     def state(self) -> dict[str, Tensor]:
         return {}

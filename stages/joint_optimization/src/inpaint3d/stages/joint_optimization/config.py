@@ -98,6 +98,11 @@ class Config(Closed):
     reference_views: Count = Field(
         default=4, description="reference: views in which what no photo shows is made up, at most"
     )
+    variety: Weight = Field(
+        default=0.0,
+        description="reference: by which share less alike than the best a patch may be that is copied; more than 0 "
+        "makes the fill depend on the seed",
+    )
     filled_share: Share = Field(
         default=0.4, description="reference: share of the rays of a step that are drawn from what was filled"
     )

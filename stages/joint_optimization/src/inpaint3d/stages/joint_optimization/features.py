@@ -19,7 +19,7 @@ class FeatureGuide:
     Windows narrow over the run (S1), so that it goes from coarse to fine.
     """
 
-    windows = None
+    windows = span = None
 
     def __init__(
         self,

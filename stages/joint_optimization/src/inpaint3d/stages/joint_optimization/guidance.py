@@ -44,6 +44,11 @@ class Guide(Protocol):
         """Each view's window, where the guide keeps a picture of every view; None: windows are drawn."""
         ...
 
+    @property
+    def span(self) -> float | None:
+        """Side of the windows that are drawn, share of the picture's short side; None: as scheduled (S1)."""
+        ...
+
     def gradient(
         self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
     ) -> tuple[Patch, float]:
@@ -94,6 +99,7 @@ class PriorGuide:
     steps: int
     copy: LowRankCopy | None = None
     windows: None = None
+    span: None = None
 
     @property
     def size(self) -> int:
@@ -144,6 +150,8 @@ class DatasetGuide:
 
     update_every: patches of a view from one update to the next; the first makes it.
     """
+
+    span = None
 
     def __init__(
         self, prior: InpaintingPrior, windows: Windows, *, guidance: float, steps: int, update_every: int

@@ -98,7 +98,7 @@ class Problem:
         weight = distillation_weight(
             since, total, peak=config.weight, warmup=config.weight_warmup, decay_to=config.weight_decay_to
         )
-        span = window_span(since, total, first=config.span_first, last=config.span_last)
+        span = self.guide.span or window_span(since, total, first=config.span_first, last=config.span_last)
         specular = specular_scale(step, schedule) if self.diffuse_start else 1.0
         window = choose_window(self.to_fill, self.guide, config, since=since, span=span, rng=rng)
         distilled = distil(

@@ -56,12 +56,14 @@ def completed(
     *,
     witnesses: int,
     references: int,
+    variety: float = 0.0,
+    seed: int = 0,
 ) -> tuple[list[Image], str]:
     """A picture of each view with nothing missing, in the mean appearance, and how they came about, in words.
 
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
     alone. witnesses: other views that must know a surface for it to be taken from them; references: views in which
-    what none shows is made up, at most.
+    what none shows is made up, at most; variety, seed: how freely (`texture.synthesised`).
     """
     made = [_started(view, depths[view.name], recolour.to_mean(view.image, i)) for i, view in enumerate(views)]
     photos = [m.picture for m in made]
@@ -74,7 +76,7 @@ def completed(
         if reference.gaps.sum() <= WORTH * reference.view.hole.sum():
             break
         used.append(reference.view.name)
-        _fill_by_example(reference)
+        _fill_by_example(reference, variety, seed)
         for other in made:
             if other.missing.any():
                 other.fill(*_carried(reference, other))
@@ -140,7 +142,7 @@ def _surely_known(view: SceneView, xy: NDArray[np.float64], z: NDArray[np.float6
     return inside & (cv2.erode(view.known.astype(np.uint8), np.ones((3, 3), np.uint8))[y, x] > 0)
 
 
-def _fill_by_example(one: Completed) -> None:
+def _fill_by_example(one: Completed, variety: float, seed: int) -> None:
     """Close the cracks, then fill each gap from the surfaces around it."""
     gaps = one.gaps
     cracks = one.missing & ~grown(gaps)
@@ -156,7 +158,7 @@ def _fill_by_example(one: Completed) -> None:
         rows, columns = (slice(max(0, a.min() - GAP), a.max() + 1 + GAP) for a in np.nonzero(gap | source))
         box = (rows, columns)
         colours = one.picture.copy()
-        colours[box] = synthesised(one.picture[box], gap[box], source[box])
+        colours[box] = synthesised(one.picture[box], gap[box], source[box], variety=variety, seed=seed)
         one.fill(gap, colours)
 
 

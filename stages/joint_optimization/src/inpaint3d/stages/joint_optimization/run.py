@@ -110,7 +110,7 @@ def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Proble
     field = load_field(initial.path(initial.metadata.weights), spec) if initial else RadianceField(spec, seed)
     reasons, to_fill, filled = decisions.reasons, scene.train, ()
     if config.estimator == "reference":
-        to_fill, filled, reasons["hole"] = complete(scene.train, field, initial, config)
+        to_fill, filled, reasons["hole"] = complete(scene.train, field, initial, config, seed)
     elif initial and config.estimator not in WITHOUT_GUIDE and config.hole == "unseen":
         to_fill, reasons["hole"] = shrink_holes(scene.train, initial, config.witnesses)
     guide = load_guide(config, inputs, to_fill, seed, device)
@@ -133,7 +133,7 @@ def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Proble
 
 
 def complete(
-    views: Views, field: RadianceField, initial: Artifact[RadianceFieldArtifact] | None, config: Config
+    views: Views, field: RadianceField, initial: Artifact[RadianceFieldArtifact] | None, config: Config, seed: int
 ) -> tuple[Views, Views, str]:
     """The views with nothing missing, in the mean appearance and each in its own, and how that was done, in words."""
     if initial is None:
@@ -148,6 +148,8 @@ def complete(
         recolour,
         witnesses=config.witnesses,
         references=config.reference_views,
+        variety=config.variety,
+        seed=seed,
     )
     alike = tuple(replace(v, image=picture) for v, picture in zip(views, pictures, strict=True))
     own = tuple(

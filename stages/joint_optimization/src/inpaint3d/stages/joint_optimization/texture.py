@@ -32,12 +32,16 @@ Region = Bool[Tensor, "h w"]
 Origins = Int64[Tensor, "h w"]
 
 
-def synthesised(image: NDArray[np.float32], hole: Mask, source: Mask) -> NDArray[np.float32]:
+def synthesised(
+    image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
+) -> NDArray[np.float32]:
     """`image` [h, w, 3] with `hole` filled from patches that lie wholly in `source`; both [h, w] and disjoint.
 
-    What `image` holds in the hole, or outside both, is never looked at. Where the source holds no whole patch the hole
-    is filled by Telea's method. Deterministic.
+    What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
+    holds no whole patch the hole is filled by Telea's method. variety: at the coarsest level any patch may be taken
+    that is by at most this share less alike than the best; which, `seed` says. The same arguments give the same bytes.
     """
+    generator = torch.Generator().manual_seed(seed)
     known = source & ~hole
     levels = 1
     while np.sqrt(hole.sum()) / 2**levels > PATCH and _area(known, _size(hole, levels)).sum() > LEAST_SOURCE:
@@ -52,7 +56,7 @@ def synthesised(image: NDArray[np.float32], hole: Mask, source: Mask) -> NDArray
         if len(patches.examples) == 0:
             continue
         picture = torch.from_numpy(start)
-        picture = patches.peeled(picture) if made is None else _carried_up(picture, blank, *made)
+        picture = patches.peeled(picture, variety, generator) if made is None else _carried_up(picture, blank, *made)
         made = patches.settled(picture, FINEST_ROUNDS if level == 0 else ROUNDS)
     if made is None:
         return telea(image, hole)
@@ -81,11 +85,17 @@ class Patches:
         self.trust = FORGETTING ** -torch.from_numpy(depth).flatten()[self.touching]
 
     def nearest(
-        self, picture: Picture, at: Int64[Tensor, " n"], valid: Region | None = None
+        self,
+        picture: Picture,
+        at: Int64[Tensor, " n"],
+        valid: Region | None = None,
+        variety: float = 0.0,
+        generator: torch.Generator | None = None,
     ) -> tuple[Int64[Tensor, " n"], Float[Tensor, " n"]]:
         """The example most like the patch around each pixel of `at`, and their mean squared difference.
 
-        Only `valid` pixels of the patches are compared; None: all.
+        Only `valid` pixels of the patches are compared; None: all. With variety every difference counts as up to that
+        share more, by chance.
         """
         flat = _unfolded(picture)
         examples, asked = flat[self.examples], flat[at]
@@ -95,19 +105,21 @@ class Patches:
         for q, w in zip((asked * weight).split(1024), weight.split(1024), strict=True):
             own = squares.sum(1)[None] if valid is None else w @ squares.T
             apart = own - 2 * q @ examples.T + q.square().sum(1, keepdim=True)
+            if variety:
+                apart = apart.clamp(min=0) * (1 + variety * torch.rand(apart.shape, generator=generator))
             cost, index = apart.min(1)
             found.append(self.examples[index])
             costs.append(cost.clamp(min=0) / w.sum(1).clamp(min=1))
         return torch.cat(found), torch.cat(costs)
 
-    def peeled(self, picture: Picture) -> Picture:
-        """The hole filled from its border inwards, each pixel by the middle of the most alike example."""
+    def peeled(self, picture: Picture, variety: float, generator: torch.Generator) -> Picture:
+        """The hole filled from its border inwards, each pixel by the middle of a most alike example."""
         picture, missing = picture.clone(), self.hole.clone()
         flat = picture.view(-1, 3)
         while missing.any():
             border = missing & _grown(~missing, 3)
             at = torch.nonzero(border.flatten())[:, 0]
-            flat[at] = flat[self.nearest(picture, at, ~missing)[0]]
+            flat[at] = flat[self.nearest(picture, at, ~missing, variety, generator)[0]]
             missing &= ~border
         return picture
 

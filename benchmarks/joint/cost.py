@@ -1,0 +1,108 @@
+"""What a distilled step costs beyond what it must: its own render, forward and backward, and the prior's evaluation.
+
+In CPU seconds of one process, whole steps and their parts over the same rays and the same patch.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from inpaint3d.contracts.context import Inputs
+from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.training import step_generators
+from inpaint3d.radiance.optim import make_optimizer
+from inpaint3d.radiance.rays import Rays, camera_rays
+from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.training import descend
+from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.guidance import Asked, PriorGuide
+from inpaint3d.stages.joint_optimization.loop import Problem, choose_window
+from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.patches import Window
+from inpaint3d.stages.joint_optimization.run import pose
+from inpaint3d.stages.joint_optimization.schedule import window_span
+
+STEPS, WARM_UP = 6, 2
+RATE = 1e-3
+
+
+def sds_step(inputs: Inputs, *, guidance: float) -> dict[str, Any]:
+    """Medians over steps, CPU seconds: a whole step of score distillation, its render, the prior; and their ratio."""
+    torch.set_num_threads(1)
+    config = Config(estimator="sds", guidance=guidance, distill_every=1, centre_steps=0)
+    problem, _ = pose(config, inputs, 0, "cpu")
+    guide = problem.guide
+    if not isinstance(guide, PriorGuide):
+        raise TypeError(f"score distillation is guided by a prior, not by {type(guide).__name__}")
+    whole = _median(_steps(problem))
+    shown = _median(lambda step: _rendered(problem, step))
+    asked = _median(lambda step: _evaluated(guide, guidance, step))
+    return {
+        "step_cpu_s": whole,
+        "render_cpu_s": shown,
+        "prior_cpu_s": asked,
+        "evaluations": 1 if guidance in (0.0, 1.0) else 2,
+        "ratio": whole / (shown + asked),
+    }
+
+
+def _median(work: Callable[[int], None]) -> float:
+    spent = []
+    for step in range(WARM_UP + STEPS):
+        start = time.process_time()
+        work(step)
+        spent.append(time.process_time() - start)
+    return statistics.median(spent[WARM_UP:])
+
+
+def _steps(problem: Problem) -> Callable[[int], None]:
+    optimizer = make_optimizer(problem.field, hash_decay=problem.config.hash_decay_weight)
+
+    def work(step: int) -> None:
+        # One step on, since the first has no weight yet and so no distillation term.
+        terms, _ = problem.terms(step + 1, Ranks())
+        descend(problem.field, optimizer, terms, RATE, {})
+
+    return work
+
+
+def _rendered(problem: Problem, step: int) -> None:
+    """Every ray of a step: random ones, depth patches and the hole with gradients, the patch's known part without."""
+    config, field = problem.config, problem.field
+    rng, generator = step_generators(problem.seed, step + 1)
+    window = _window(problem, step + 1, rng)
+    view = problem.to_fill[window.view]
+    rays = camera_rays(view.camera, window.pixels())
+    hole = torch.from_numpy(window.look_up(view.hole))
+    batch = problem.bank.draw(
+        config.rays, patches=config.depth_patches, patch_size=config.depth_patch_size, generator=generator
+    )
+    with torch.no_grad():
+        render(field, Rays(rays.origins[~hole], rays.directions[~hole]), glo="mean")
+    inside = Rays(rays.origins[hole], rays.directions[hole])
+    render(field, batch.rays, generator=generator, near_gradient=False).rgb.mean().backward()
+    render(field, inside, generator=generator, glo="mean", near_gradient=False).rgb.mean().backward()
+    field.zero_grad()
+
+
+def _window(problem: Problem, step: int, rng: np.random.Generator) -> Window:
+    config, guide = problem.config, problem.guide
+    if guide is None:
+        raise ValueError("nothing is distilled without a guide")
+    span = window_span(step, config.steps, first=config.span_first, last=config.span_last)
+    return choose_window(problem.to_fill, guide, config, since=step, span=span, rng=rng)
+
+
+def _evaluated(guide: PriorGuide, guidance: float, step: int) -> None:
+    prior: InpaintingPrior = guide.prior
+    generator = torch.Generator().manual_seed(step)
+    size = guide.size
+    hole = torch.zeros(size, size, dtype=torch.bool)
+    hole[size // 4 : 3 * size // 4, size // 4 : 3 * size // 4] = True
+    x, mask, t, eps, fill = Asked.about(torch.rand(size, size, 3, generator=generator), hole, (0.5, 0.6), generator)
+    with torch.no_grad():
+        prior.predict_noise(eps, t, x, mask, guidance=guidance, noise_fill=fill)
