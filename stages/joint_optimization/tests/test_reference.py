@@ -96,3 +96,15 @@ def test_a_picture_in_the_mean_appearance_and_back(room: SyntheticScene) -> None
         shown, wanted = (field.query(points, along.expand(64, 3), code.expand(64, 6)).rgb for code in (own, mean))
     made = recolour.to_mean(shown[None].numpy(), 2)[0]
     np.testing.assert_allclose(made, wanted.numpy(), atol=1e-4)
+
+
+def test_known_elsewhere_or_made_up_is_told_apart(large: SyntheticScene) -> None:
+    """With depth on the ball itself no other photo knows what is masked: all of it has to be made up."""
+    views = views_of(large)
+    true, wrong = (
+        completed(views, depths, Plain(), witnesses=2, references=1)[1]
+        for depths in (depths_of(large), dict(zip(large.names, large.depths.astype(np.float32), strict=True)))
+    )
+    share, none = (int(words.split("%")[0]) for words in (true, wrong))
+    assert share > 30
+    assert none < 15

@@ -68,3 +68,16 @@ def test_without_a_whole_patch_to_copy_the_hole_is_filled_smoothly(side: int) ->
     source = np.zeros(SHAPE, bool)
     source[:side, :side] = True
     np.testing.assert_array_equal(synthesised(image, hole, source), telea(image, hole))
+
+
+def test_variety_lets_the_seed_choose() -> None:
+    """Without it every seed gives the same fill; with it each another, of the same palette."""
+    image = np.random.default_rng(2).uniform(size=(*SHAPE, 3)).astype(np.float32)
+    hole = hole_in_the_middle()
+
+    def filled(variety: float, seed: int) -> np.ndarray:
+        return synthesised(image, hole, ~hole, variety=variety, seed=seed)
+
+    np.testing.assert_array_equal(filled(0.0, 0), filled(0.0, 1))
+    np.testing.assert_array_equal(filled(1.0, 0), filled(1.0, 0))
+    assert np.abs(filled(1.0, 0) - filled(1.0, 1))[hole].mean() > 0.1
