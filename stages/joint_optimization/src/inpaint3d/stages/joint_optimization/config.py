@@ -27,7 +27,7 @@ class Config(Closed):
     """What is optimised, against what, and for how long."""
 
     estimator: Estimator = Field(
-        default="denoised-target",
+        default="reference",
         description="what fills the hole: none (reconstruction only); baselines: classical (every view inpainted by "
         "OpenCV, then reconstructed), inpaint-then-nerf (every view sampled from the prior with one seed, LPIPS); "
         "features (VGG16 features of the rest of the scene, no prior); reference (what other photos show, the rest by "
