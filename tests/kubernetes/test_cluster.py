@@ -29,7 +29,7 @@ from tests.kubernetes.jobs import Cluster, job_of
 pytestmark = pytest.mark.kubernetes
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
 TRAINING = "diffusion-training"
-TINY = load_yaml(REPOSITORY / "stages" / "diffusion_training" / "tests" / "tiny.yaml")[0] | {"steps": 600}
+TINY = load_yaml(REPOSITORY / "stages" / "diffusion_training" / "tests" / "tiny.yaml")[0] | {"steps": 200}
 TWO_PODS = Path(__file__).with_name("two_pods.py")
 
 
@@ -166,13 +166,13 @@ def records_of(store, stage):
 
 
 def test_too_little_memory_fails_without_a_retry_and_more_repairs_it(cluster, template, inputs, store):
-    cluster.apply(training(template, "hungry", inputs, memory="40Mi"))
+    cluster.apply(training(template, "hungry", inputs, memory="256Mi"))
     assert cluster.ended("hungry") == "PodFailurePolicy"
     (pod,) = cluster.pods("hungry")
     state = pod["status"]["containerStatuses"][0]["state"]["terminated"]
     assert (state["reason"], state["exitCode"]) == ("OOMKilled", 137)
     assert records_of(store, TRAINING) == []
-    cluster.say(f"40Mi: {state['reason']}, exit {state['exitCode']}, no retry, nothing committed")
+    cluster.say(f"256Mi: {state['reason']}, exit {state['exitCode']}, no retry, nothing committed")
     cluster.apply(training(template, "fed", inputs))
     assert cluster.ended("fed") == "Complete"
     cluster.say("with the limit of stage.yaml: Complete")
