@@ -99,3 +99,9 @@ def test_what_runs_is_not_root_and_has_no_builder(name):
     assert "cyclonedx" in build
     assert "USER 10001:10001" in final
     assert "RUN " not in final, "the last stage only copies: no uv, no compiler, nothing fetched"
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_what_is_deleted_is_not_read_when_it_runs(name):
+    """scikit-image's lazy loader reads its .pyi files: without them it cannot be imported."""
+    assert "-o -name '*.pyi' -not -path '*/skimage/*' ')' -delete" in containerfile(name)
