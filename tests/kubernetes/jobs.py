@@ -34,7 +34,6 @@ def job_of(template: Document, node: str, name: str, values: dict[str, str]) -> 
     pod = {
         "restartPolicy": "Never",
         "automountServiceAccountToken": False,
-        "terminationGracePeriodSeconds": 15,
         "securityContext": spec["securityContext"],
         "volumes": volumes,
         "containers": [container],
