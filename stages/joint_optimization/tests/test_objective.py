@@ -102,3 +102,9 @@ def test_gradient_norms_are_those_of_each_term_alone(field: RadianceField, batch
     assert norms["reconstruction"] == pytest.approx(squares**0.5, rel=1e-5)
     # The graph is still there for the step itself.
     torch.stack(list(terms.values())).sum().backward()
+
+
+def test_a_term_without_a_gradient_has_norm_0(field: RadianceField, batch: Batch) -> None:
+    """A field whose sampler is a density grid has no proposals to teach."""
+    terms = terms_of(field, batch) | {"interlevel": torch.tensor(0.0)}
+    assert gradient_norms(field, terms)["interlevel"] == 0

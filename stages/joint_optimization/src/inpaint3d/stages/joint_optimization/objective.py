@@ -80,10 +80,16 @@ def decay_term(field: RadianceField, config: Config) -> Terms:
 
 
 def gradient_norms(field: RadianceField, terms: Mapping[str, Tensor]) -> dict[str, float]:
-    """Euclidean norm over all parameters of each term's gradient (L8). Keeps the graph: as dear as a step a term."""
+    """Euclidean norm over all parameters of each term's gradient (L8), 0 for a term that has none at this step.
+
+    Keeps the graph: as dear as a step a term.
+    """
     parameters = list(field.parameters())
     norms: dict[str, float] = {}
     for name, term in terms.items():
+        if not term.requires_grad:
+            norms[name] = 0.0
+            continue
         gradients = torch.autograd.grad(term, parameters, retain_graph=True, allow_unused=True)
         squares = [g.square().sum() for g in gradients if g is not None]
         norms[name] = float(torch.stack(squares).sum().sqrt())
