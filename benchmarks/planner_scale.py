@@ -3,9 +3,9 @@
 python -m benchmarks.planner_scale [SCENES]
 """
 
+import argparse
 import json
 import resource
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -85,4 +85,6 @@ def main(scenes: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=int, nargs="?", default=10_000)
+    main(parser.parse_args().scenes)

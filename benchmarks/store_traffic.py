@@ -5,8 +5,8 @@ listing, a put for each file and one for its manifest; read, two gets of the man
 file. Files above 8 MiB go up in parts, which are not counted here.
 """
 
+import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -39,4 +39,8 @@ def main(place: str, name: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("store", help="a store's folder")
+    parser.add_argument("name", help="of a run")
+    given = parser.parse_args()
+    main(given.store, given.name)

@@ -10,9 +10,9 @@ import yaml
 
 from inpaint3d.contracts.artifacts import DiffusionPrior
 from inpaint3d.contracts.documents import load_yaml
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
 from inpaint3d.contracts.manifest import MANIFEST, Manifest
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import Store, artifact_in
 from inpaint3d.diffusion import parallel
 from inpaint3d.diffusion.io import open_prior
 from inpaint3d.scene.image_io import write_png
@@ -58,6 +58,19 @@ def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path
     assert prior.metadata.steps == 4
     assert "hole_psnr_sample" in prior.metadata.held_out
     assert open_prior(prior).size == 16
+
+
+def test_it_goes_on_from_another_priors_weights(corpus: Path, tmp_path: Path) -> None:
+    pretrain(corpus, tmp_path / "first", Config.model_validate(TINY), seed=0)
+    first = artifact_in(tmp_path / "first" / "prior", "diffusion-prior@1", DiffusionPrior)
+    none = Config.model_validate(TINY | {"steps": 0})
+    pretrain(corpus, tmp_path / "second", none, seed=1, start=first.root)
+    second = artifact_in(tmp_path / "second" / "prior", "diffusion-prior@1", DiffusionPrior)
+    assert second.metadata.start == first.digest
+    assert second.path("weights.safetensors").read_bytes() == first.path("weights.safetensors").read_bytes()
+    (first.root / "weights.safetensors").write_bytes(b"torn")
+    with pytest.raises(ArtifactError, match="is not what was written"):
+        pretrain(corpus, tmp_path / "third", none, seed=1, start=first.root)
 
 
 def test_what_cannot_be_learnt_from_is_named(corpus: Path, tmp_path: Path, monkeypatch) -> None:

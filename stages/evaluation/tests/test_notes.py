@@ -19,9 +19,9 @@ def said(joint: dict[str, float], control: dict[str, float]) -> str:
 
 def test_a_prior_that_loses_to_the_same_steps_without_it_is_named() -> None:
     weak = said({"psnr": 23.4, "lpips_vgg": 0.34}, {"psnr": 22.5, "lpips_vgg": 0.32})
-    assert "by LPIPS the prior adds nothing" in weak
+    assert "by LPIPS joint adds nothing" in weak
     assert "0.340 against 0.320 (PSNR 23.40 against 22.50 dB)" in weak
-    assert "prior adds nothing" not in said({"psnr": 23.4, "lpips_vgg": 0.30}, {"psnr": 22.5, "lpips_vgg": 0.32})
+    assert "adds nothing" not in said({"psnr": 23.4, "lpips_vgg": 0.30}, {"psnr": 22.5, "lpips_vgg": 0.32})
 
 
 def test_a_field_that_loses_to_a_baseline_outside_the_mask_is_named() -> None:

@@ -29,7 +29,7 @@ def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: b
     perceived = _values(done, names.BOX, "lpips_vgg")
     if CONTROL in perceived and first != CONTROL and perceived[first] >= perceived[CONTROL]:
         found.append(
-            f"Weak: by LPIPS the prior adds nothing to the same steps without it ({CONTROL}): {perceived[first]:.3f} "
+            f"Weak: by LPIPS {first} adds nothing to the same steps of {CONTROL}: {perceived[first]:.3f} "
             f"against {perceived[CONTROL]:.3f} (PSNR {box[first]:.2f} against {box[CONTROL]:.2f} dB)."
         )
     known = _values(done, names.HELD_OUT, "psnr")

@@ -11,7 +11,7 @@ from torch import Tensor
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.samplers import inpaint
 from inpaint3d.perception.lpips import enlarged, load
-from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Windows
+from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless, Windows
 from inpaint3d.stages.joint_optimization.patches import Window, draw_window
 from inpaint3d.stages.joint_optimization.scene import SceneView
 from inpaint3d.stages.joint_optimization.texture import telea
@@ -69,7 +69,7 @@ def sampled_views(
     return pictures
 
 
-class PictureGuide:
+class PictureGuide(Stateless):
     """Pictures that were made beforehand: LPIPS of the hole, the rest of the patch being the picture's own."""
 
     span = None
@@ -90,14 +90,8 @@ class PictureGuide:
             raise ValueError(f"view {window.view} has no picture: it shows no hole")
         return _likeness_gradient(patch, hole, picture), float("nan")
 
-    def state(self) -> dict[str, Tensor]:
-        return {}
 
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        pass
-
-
-class ReferenceGuide:
+class ReferenceGuide(Stateless):
     """Whole pictures that agree with each other (`reference.completed`): LPIPS of the hole in any window of them.
 
     It sharpens what rays are fitted to pixel by pixel. Windows are small, since detail is what it is for.
@@ -120,12 +114,6 @@ class ReferenceGuide:
     ) -> tuple[Patch, float]:
         picture = torch.from_numpy(np.ascontiguousarray(window.look_up(self._pictures[window.view]))).to(patch)
         return self.STRENGTH * _likeness_gradient(patch, hole, picture), float("nan")
-
-    def state(self) -> dict[str, Tensor]:
-        return {}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        pass
 
 
 def _likeness_gradient(patch: Patch, hole: Hole, picture: Patch) -> Patch:

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from inpaint3d.perception.matching import Cells, cells, joined, nearest_mismatch, sliced_mismatch
-from inpaint3d.stages.joint_optimization.guidance import Hole, Patch
+from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless
 from inpaint3d.stages.joint_optimization.patches import Window, draw_window
 from inpaint3d.stages.joint_optimization.scene import SceneView, distillable
 
 
-class FeatureGuide:
+class FeatureGuide(Stateless):
     """Matches the patch's hole with known pixels around the holes of other views, in windows as large as its own.
 
     Windows narrow over the run (S1), so that it goes from coarse to fine.
@@ -64,9 +64,3 @@ class FeatureGuide:
         image = torch.from_numpy(np.ascontiguousarray(found.look_up(view.image))).to(patch)
         known = torch.from_numpy(found.look_up(view.known)).to(patch.device)
         return cells(image.permute(2, 0, 1)[None] * 2 - 1, known, whole=True)
-
-    def state(self) -> dict[str, Tensor]:
-        return {}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        pass

@@ -89,6 +89,16 @@ class Asked(NamedTuple):
         return gradient[0].permute(1, 2, 0) * (2.0 / self.mask.numel()), float(self.t)
 
 
+class Stateless:
+    """What a guide that learns nothing brings to a checkpoint: nothing."""
+
+    def state(self) -> dict[str, Tensor]:
+        return {}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        pass
+
+
 @dataclass
 class PriorGuide:
     """A prior with the estimator that turns its opinion into a gradient. copy: vsd's, which learns the renders."""
