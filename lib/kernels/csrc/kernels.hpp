@@ -68,6 +68,28 @@ struct NetworkGrad {
   float* starts;
 };
 
+// What `count` points' colours are made of, [count, 3] each; specular may be null. Points come in runs, the last one maybe
+// shorter, that share a row of exposure: log gain and offset of the three channels; null: as they are.
+struct Logits {
+  const float *diffuse, *specular, *exposure;
+  int64_t count, run;
+  bool shared;    // all runs have the first row of exposure, or none
+  float scale;    // of the specular part
+  float padding;  // by how much colours may pass [0, 1]
+};
+
+struct LogitsGrad {
+  float *diffuse, *specular, *exposure;  // the last two may be null
+};
+
+// Densities in side^3 cells of a cube: the contracted ball's, or that of half side `bound`.
+struct Cells {
+  const float* density;
+  int32_t side;
+  bool contraction;
+  float bound;
+};
+
 struct Kernels {
   const char* name;
   void (*hash_forward)(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
@@ -81,6 +103,15 @@ struct Kernels {
   void (*composite_forward)(Rays rays, CompositeOut out, int threads);
   void (*composite_backward)(Rays rays, const float* weights, CompositeGrad grad, float* density_grad,
                              float* rgb_grad, int threads);
+  // rgb of both parts, and of the diffuse one alone.
+  void (*colours_forward)(Logits in, float* rgb, float* diffuse_rgb, int threads);
+  // Either gradient may be null: zero. That of exposure is added to what is there.
+  void (*colours_backward)(Logits in, const float* rgb_grad, const float* diffuse_rgb_grad, LogitsGrad grad, int threads);
+  // origins, directions [rays, 3]; tdist [bins + 1], every ray's; out [rays, bins].
+  void (*grid_histogram)(Cells cells, const float* origins, const float* directions, int64_t rays, const float* tdist,
+                         int64_t bins, float floor, float* out, int threads);
+  // cube [count, 3], seen [count] >= 0.
+  void (*grid_learn)(float* density, int32_t side, const float* cube, const float* seen, int64_t count, float memory);
   // sdist [rays, n + 1], weights [rays, n], jitter [rays, count] or null, out [rays, count + 1].
   void (*resample)(const float* sdist, const float* weights, int64_t rays, int64_t n, int64_t count,
                    const float* jitter, float* out, int threads);

@@ -6,6 +6,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <optional>
@@ -196,6 +197,84 @@ void composite_backward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, I
       density_grad.data(), rgb_grad.data(), threads);
 }
 
+constexpr int64_t kSharedRun = 1024;  // points with one exposure come in runs too, that threads have something to share
+
+Logits checked_logits(const In<nb::shape<-1, 3>>& diffuse, const std::optional<In<nb::shape<-1, 3>>>& specular,
+                      const std::optional<In<nb::shape<-1, 6>>>& exposure, float scale, float padding) {
+  const auto count = static_cast<int64_t>(diffuse.shape(0));
+  if (specular) require_shape(*specular, {count, 3}, "specular");
+  const int64_t rows = exposure ? static_cast<int64_t>(exposure->shape(0)) : 1;
+  require(rows > 0 ? count % rows == 0 : count == 0, std::to_string(rows) + " exposures do not divide " + std::to_string(count) + " points");
+  const bool shared = rows == 1;
+  return {diffuse.data(), specular ? specular->data() : nullptr, exposure ? exposure->data() : nullptr, count,
+          shared || rows == 0 ? kSharedRun : count / rows, shared, scale, padding};
+}
+
+void colours_forward(In<nb::shape<-1, 3>> diffuse, std::optional<In<nb::shape<-1, 3>>> specular,
+                     std::optional<In<nb::shape<-1, 6>>> exposure, Out<nb::shape<-1, 3>> rgb,
+                     Out<nb::shape<-1, 3>> diffuse_rgb, float scale, float padding, int threads) {
+  const Logits in = checked_logits(diffuse, specular, exposure, scale, padding);
+  require_shape(rgb, {in.count, 3}, "rgb");
+  require_shape(diffuse_rgb, {in.count, 3}, "diffuse_rgb");
+  const auto run = active().colours_forward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(in, rgb.data(), diffuse_rgb.data(), threads);
+}
+
+void colours_backward(In<nb::shape<-1, 3>> diffuse, std::optional<In<nb::shape<-1, 3>>> specular,
+                      std::optional<In<nb::shape<-1, 6>>> exposure, std::optional<In<nb::shape<-1, 3>>> rgb_grad,
+                      std::optional<In<nb::shape<-1, 3>>> diffuse_rgb_grad, Out<nb::shape<-1, 3>> diffuse_grad,
+                      std::optional<Out<nb::shape<-1, 3>>> specular_grad, std::optional<Out<nb::shape<-1, 6>>> exposure_grad,
+                      float scale, float padding, int threads) {
+  Logits in = checked_logits(diffuse, specular, exposure, scale, padding);
+  if (exposure && in.shared) in.run = in.count;  // its gradient is one sum
+  if (rgb_grad) require_shape(*rgb_grad, {in.count, 3}, "rgb_grad");
+  if (diffuse_rgb_grad) require_shape(*diffuse_rgb_grad, {in.count, 3}, "diffuse_rgb_grad");
+  require_shape(diffuse_grad, {in.count, 3}, "diffuse_grad");
+  require(specular_grad.has_value() == specular.has_value(), "specular_grad is for specular");
+  require(exposure_grad.has_value() == exposure.has_value(), "exposure_grad is for exposure");
+  if (specular_grad) require_shape(*specular_grad, {in.count, 3}, "specular_grad");
+  if (exposure_grad) {
+    require_shape(*exposure_grad, {static_cast<int64_t>(exposure->shape(0)), 6}, "exposure_grad");
+    std::fill_n(exposure_grad->data(), exposure_grad->size(), 0.0f);
+  }
+  const auto run = active().colours_backward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(in, rgb_grad ? rgb_grad->data() : nullptr, diffuse_rgb_grad ? diffuse_rgb_grad->data() : nullptr,
+      {diffuse_grad.data(), specular_grad ? specular_grad->data() : nullptr, exposure_grad ? exposure_grad->data() : nullptr},
+      threads);
+}
+
+int32_t checked_side(int64_t cells, int64_t side) {
+  require(side >= 1 && side <= 1024, "a density grid has 1 to 1024 cells a side, not " + std::to_string(side));
+  require(cells == side * side * side, "a density grid of " + std::to_string(side) + " cells a side does not hold " + std::to_string(cells));
+  return static_cast<int32_t>(side);
+}
+
+void grid_histogram(In<nb::ndim<1>> density, int64_t side, In<nb::shape<-1, 3>> origins, In<nb::shape<-1, 3>> directions,
+                    In<nb::ndim<1>> tdist, std::optional<float> bound, float floor, Out<nb::ndim<2>> out, int threads) {
+  const Cells cells{density.data(), checked_side(static_cast<int64_t>(density.shape(0)), side), !bound.has_value(), bound.value_or(1.0f)};
+  const auto rays = static_cast<int64_t>(origins.shape(0)), bins = static_cast<int64_t>(tdist.shape(0)) - 1;
+  require(bins >= 1, "a histogram needs at least one interval");
+  require_shape(directions, {rays, 3}, "directions");
+  require_shape(out, {rays, bins}, "out");
+  const auto run = active().grid_histogram;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(cells, origins.data(), directions.data(), rays, tdist.data(), bins, floor, out.data(), threads);
+}
+
+void grid_learn(Out<nb::ndim<1>> density, int64_t side, In<nb::shape<-1, 3>> cube, In<nb::ndim<1>> seen, float memory) {
+  const int32_t checked = checked_side(static_cast<int64_t>(density.shape(0)), side);
+  const auto count = static_cast<int64_t>(cube.shape(0));
+  require_shape(seen, {count}, "seen");
+  const auto run = active().grid_learn;
+  nb::gil_scoped_release release;
+  run(density.data(), checked, cube.data(), seen.data(), count, memory);
+}
+
 void resample(In<nb::ndim<2>> sdist, In<nb::ndim<2>> weights, std::optional<In<nb::ndim<2>>> jitter,
               Out<nb::ndim<2>> out, int threads) {
   const auto rays = static_cast<int64_t>(weights.shape(0)), n = static_cast<int64_t>(weights.shape(1));
@@ -293,6 +372,18 @@ NB_MODULE(_native, module) {
              "tdist"_a.noconvert(), "weights"_a.noconvert(), "weights_grad"_a.noconvert(),
              "rgb_out_grad"_a.noconvert(), "opacity_grad"_a.noconvert(), "depth_sum_grad"_a.noconvert(),
              "density_grad"_a.noconvert(), "rgb_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("colours_forward", &colours_forward, "diffuse"_a.noconvert(), "specular"_a.noconvert().none(),
+             "exposure"_a.noconvert().none(), "rgb"_a.noconvert(), "diffuse_rgb"_a.noconvert(), nb::kw_only(), "scale"_a,
+             "padding"_a, "threads"_a = 1);
+  module.def("colours_backward", &colours_backward, "diffuse"_a.noconvert(), "specular"_a.noconvert().none(),
+             "exposure"_a.noconvert().none(), "rgb_grad"_a.noconvert().none(), "diffuse_rgb_grad"_a.noconvert().none(),
+             "diffuse_grad"_a.noconvert(), "specular_grad"_a.noconvert().none(), "exposure_grad"_a.noconvert().none(),
+             nb::kw_only(), "scale"_a, "padding"_a, "threads"_a = 1);
+  module.def("grid_histogram", &grid_histogram, "density"_a.noconvert(), "side"_a, "origins"_a.noconvert(),
+             "directions"_a.noconvert(), "tdist"_a.noconvert(), "bound"_a.none(), "floor"_a, "out"_a.noconvert(),
+             nb::kw_only(), "threads"_a = 1);
+  module.def("grid_learn", &grid_learn, "density"_a.noconvert(), "side"_a, "cube"_a.noconvert(), "seen"_a.noconvert(),
+             "memory"_a);
   module.def("resample", &resample, "sdist"_a.noconvert(), "weights"_a.noconvert(), "jitter"_a.noconvert().none(),
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("unit_cube", &unit_cube, "points"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);

@@ -18,6 +18,11 @@ void mlp_backward(const float* x, int64_t count, Network net, const float* out_g
 void composite_forward(Rays rays, CompositeOut out, int threads);
 void composite_backward(Rays rays, const float* weights, CompositeGrad grad, float* density_grad, float* rgb_grad,
                         int threads);
+void colours_forward(Logits in, float* rgb, float* diffuse_rgb, int threads);
+void colours_backward(Logits in, const float* rgb_grad, const float* diffuse_rgb_grad, LogitsGrad grad, int threads);
+void grid_histogram(Cells cells, const float* origins, const float* directions, int64_t rays, const float* tdist,
+                    int64_t bins, float floor, float* out, int threads);
+void grid_learn(float* density, int32_t side, const float* cube, const float* seen, int64_t count, float memory);
 void resample(const float* sdist, const float* weights, int64_t rays, int64_t n, int64_t count, const float* jitter,
               float* out, int threads);
 void unit_cube(const float* points, int64_t count, float* out, int threads);

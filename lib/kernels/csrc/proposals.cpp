@@ -1,8 +1,8 @@
 // What proposal sampling costs around its networks: points mapped to the grids' cube, and the loss that makes a proposal
 // bound the field's histogram (Mip-NeRF 360, arXiv:2111.12077, eq. 10 and 13).
+#include "cube.hpp"
 #include "operations.hpp"
 #include "parallel.hpp"
-#include "simd.hpp"
 
 namespace inpaint3d::INPAINT3D_ISA {
 namespace {
@@ -49,14 +49,7 @@ void unit_cube(const float* points, int64_t count, float* out, int threads) {
 #pragma GCC ivdep
     for (int64_t i = begin; i < end; ++i) {
       const float x = points[3 * i], y = points[3 * i + 1], z = points[3 * i + 2];
-      const float ax = __builtin_fabsf(x), ay = __builtin_fabsf(y), az = __builtin_fabsf(z);
-      float largest = ax > ay ? ax : ay;
-      largest = largest > az ? largest : az;
-      largest = largest > 1.0f ? largest : 1.0f;
-      // Divided by the largest, since squares overflow at 1e19.
-      const float a = x / largest, b = y / largest, c = z / largest;
-      const float length = largest * __builtin_sqrtf(a * a + b * b + c * c), outer = 1.0f / length;
-      const float scale = length <= 1.0f ? 1.0f : (2.0f - outer) * outer;  // NaN stays NaN
+      const float scale = contraction_scale(x, y, z);
       out[3 * i] = x * scale * 0.25f + 0.5f;
       out[3 * i + 1] = y * scale * 0.25f + 0.5f;
       out[3 * i + 2] = z * scale * 0.25f + 0.5f;

@@ -3,6 +3,7 @@ import torch
 
 from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.radiance.backends import select
 from inpaint3d.radiance.density_grid import FLOOR, MEMORY, UNSEEN, DensityGrid
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays
@@ -63,7 +64,7 @@ def test_a_cell_rises_at_once_and_falls_by_degrees() -> None:
 
     def learn(points: torch.Tensor, density: list[float]) -> None:
         grid.notice(points, torch.tensor(density))
-        grid.learn()
+        grid.learn(select("cpu"))
 
     learn(torch.cat([middle, middle, corner]), [3.0, 7.0, 0.0])
     (cell,) = (grid.density == 7).nonzero()
@@ -82,11 +83,11 @@ def test_training_teaches_the_grid_and_looking_does_not() -> None:
     assert field.density_grid is not None
     before = field.density_grid.density.clone()
     render(field, toward)
-    field.density_grid.learn()
+    field.density_grid.learn(field.backend)
     assert torch.equal(field.density_grid.density, before)
     renders = [render(field, toward, generator=torch.Generator().manual_seed(1)) for _ in range(2)]
     assert torch.equal(renders[0].sdist, renders[1].sdist), "nothing is learnt in the middle of a step"
-    field.density_grid.learn()
+    field.density_grid.learn(field.backend)
     learnt = field.density_grid.density != before
     # 64 x 12 samples, most in cells of their own or shared with a neighbour's ray.
     assert 50 < learnt.sum() < 64 * 12
@@ -103,7 +104,7 @@ def test_bits_do_not_depend_on_threads() -> None:
         for _ in range(3):
             render(field, rays(3000), generator=generator)
             assert field.density_grid is not None
-            field.density_grid.learn()
+            field.density_grid.learn(field.backend)
         results.append(field.density_grid.density)
     torch.set_num_threads(1)
     assert torch.equal(results[0], results[1])

@@ -247,6 +247,89 @@ def test_resample_takes_a_jitter_of_any_size(isa):
     torch.testing.assert_close(out, reference.resample(sdist, weights, 3, jitter))
 
 
+@pytest.mark.parametrize("specular", [True, False])
+@pytest.mark.parametrize(
+    ("count", "exposures"), [(0, None), (1, None), (5000, None), (0, 3), (5000, 1), (48, 3), (1750, 70)]
+)
+def test_colours_equal_the_reference(isa, threads, count, exposures, specular):
+    given = [5 * normal(count, 3)]
+    given.append(5 * normal(3, count, seed=1).T if specular else None)  # not contiguous
+    given.append(None if exposures is None else normal(exposures, 6, seed=2))
+    out_grads = [normal(count, 3, seed=3), normal(count, 3, seed=4)]
+
+    def run(colours, dtype):
+        inputs = [None if tensor is None else tensor.to(dtype).detach().requires_grad_() for tensor in given]
+        outs = colours(*inputs, 0.7)
+        torch.autograd.backward(outs, [grad.to(dtype) for grad in out_grads])
+        return outs, [tensor.grad for tensor in inputs if tensor is not None]
+
+    (outs, grads), (truth, exact) = run(native.colours, torch.float32), run(reference.colours, torch.float64)
+    for ours, theirs in zip(outs, truth, strict=True):
+        torch.testing.assert_close(ours.double(), theirs, atol=1e-6, rtol=0)
+    for ours, theirs in zip(grads, exact, strict=True):
+        largest = theirs.abs().max().item() if theirs.numel() else 0.0
+        torch.testing.assert_close(ours.double(), theirs, atol=1e-5 * max(1.0, largest), rtol=0)
+
+
+@pytest.mark.parametrize("used", [0, 1])
+def test_a_colour_that_nothing_follows_from_has_no_part_in_the_gradient(isa, used):
+    given = [normal(20, 3, seed=seed).requires_grad_() for seed in (0, 1)]
+    ours, theirs = (
+        torch.autograd.grad(colours(*given, None)[used].sum(), given, allow_unused=True, materialize_grads=True)
+        for colours in (native.colours, reference.colours)
+    )
+    for mine, truth in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(mine, truth, atol=1e-6, rtol=1e-5)
+
+
+def test_nan_logits_show_and_extreme_ones_stay_finite(isa):
+    logits = torch.tensor([[float("nan"), -1e30, 1e30]]).requires_grad_()
+    shown, _ = native.colours(logits, None, None)
+    shown.sum().backward()
+    assert shown[0].isnan().tolist() == [True, False, False]
+    assert shown[0, 1:].tolist() == pytest.approx([-reference.COLOUR_PADDING, 1 + reference.COLOUR_PADDING])
+    assert logits.grad[0, 1:].tolist() == [0, 0]
+
+
+def clear_of_cell_borders(origins, directions, tdist, side, contraction, bound):
+    """Rays none of whose middles lies so close to a cell's border that rounding decides which it is in."""
+    middle = (tdist[1:] + tdist[:-1]).double() / 2
+    points = origins.double()[:, None] + directions.double()[:, None] * middle[:, None]
+    place = reference.unit_cube(points.reshape(-1, 3), contraction, bound) * side
+    return ((place - place.round()).abs() > 1e-4).reshape(len(origins), 3 * len(middle)).all(1)
+
+
+@pytest.mark.parametrize("contraction", [True, False])
+@pytest.mark.parametrize(("rays", "bins", "side"), [(0, 5, 4), (1, 1, 1), (700, 64, 9), (200, 33, 96)])
+def test_grid_histogram_equals_the_reference(isa, threads, rays, bins, side, contraction):
+    tdist = torch.linspace(0.01, 6.0, bins + 1) ** 2
+    density = uniform(side**3) * 0.2
+    density[::7] = 50.0
+    origins, directions = 0.5 * normal(rays, 3), torch.nn.functional.normalize(normal(rays, 3, seed=1), dim=-1)
+    sure = clear_of_cell_borders(origins, directions, tdist, side, contraction, 2.5)
+    assert rays == 0 or sure.sum() > 0.4 * rays
+    place = (tdist, contraction, 2.5, 0.01)
+    out = native.grid_histogram(density, side, origins, directions, *place)
+    truth = reference.grid_histogram(
+        density.double(), side, origins.double(), directions.double(), tdist.double(), *place[1:]
+    )
+    assert out.shape == (rays, bins)
+    torch.testing.assert_close(out[sure].double(), truth[sure], atol=3e-6, rtol=0)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3000])
+def test_grid_learn_equals_the_reference(isa, count):
+    side = 6
+    density = uniform(side**3)
+    density[:20] = 0.0
+    cube, seen = uniform(count, 3, seed=1) * 1.4 - 0.2, uniform(count, seed=2)  # some outside: the border learns
+    truth = density.clone()
+    native.grid_learn(density, side, cube, seen, 0.5)
+    reference.grid_learn(truth, side, cube, seen, 0.5)
+    assert torch.equal(density, truth)
+    assert not torch.signbit(density).any()
+
+
 @pytest.mark.parametrize("count", [0, 1, 33, 5000])
 def test_unit_cube_equals_the_reference(isa, threads, count):
     points = normal(3, count).T * 10 ** (6 * uniform(count, 1) - 2)

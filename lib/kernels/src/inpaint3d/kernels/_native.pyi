@@ -80,6 +80,62 @@ def composite_backward(
 ) -> None:
     """Overwrite density_grad and rgb_grad, given composite_forward's weights and the gradients of its outputs."""
 
+def colours_forward(
+    diffuse: Array,
+    specular: Array | None,
+    exposure: Array | None,
+    rgb: Array,
+    diffuse_rgb: Array,
+    *,
+    scale: float,
+    padding: float,
+    threads: int = 1,
+) -> None:
+    """Write the colours of logits diffuse + scale * specular [n, 3] to rgb, of diffuse alone to diffuse_rgb [n, 3].
+
+    exposure [m, 6]: log gain and offset of the logits, a row for each run of n / m points. Then a sigmoid from
+    -padding to 1 + padding.
+    """
+
+def colours_backward(
+    diffuse: Array,
+    specular: Array | None,
+    exposure: Array | None,
+    rgb_grad: Array | None,
+    diffuse_rgb_grad: Array | None,
+    diffuse_grad: Array,
+    specular_grad: Array | None,
+    exposure_grad: Array | None,
+    *,
+    scale: float,
+    padding: float,
+    threads: int = 1,
+) -> None:
+    """Overwrite the gradients of what colours_forward was given; that of an output is zero where it is None."""
+
+def grid_histogram(
+    density: Array,
+    side: int,
+    origins: Array,
+    directions: Array,
+    tdist: Array,
+    bound: float | None,
+    floor: float,
+    out: Array,
+    *,
+    threads: int = 1,
+) -> None:
+    """Write to out [r, bins] how rays [r, 3] may be sampled between tdist [bins + 1], from densities in side^3 cells.
+
+    Weights of volume rendering, each averaged with its neighbours' where those are larger, plus floor. bound: half side
+    of the cells' cube; None: it holds space contracted into the ball of radius 2.
+    """
+
+def grid_learn(density: Array, side: int, cube: Array, seen: Array, memory: float) -> None:
+    """Lessen the cells [side^3] in which points of the cube [n, 3] lie to `memory` of themselves, once each; then raise
+    them to the largest density seen [n], >= 0, of these points.
+    """
+
 def resample(sdist: Array, weights: Array, jitter: Array | None, out: Array, *, threads: int = 1) -> None:
     """Draw interval ends out [r, count + 1] from the histograms (sdist [r, n + 1] sorted, weights [r, n]).
 

@@ -17,8 +17,6 @@ from inpaint3d.radiance.spacing import Spacing
 
 # Raw outputs start near 0. Density e^-1 per scene unit lets light through the whole scene at first.
 DENSITY_SHIFT = -1.0
-# The map of colours reaches a little past [0, 1], so that black and white are not at infinity (Mip-NeRF).
-COLOUR_PADDING = 0.001
 
 
 class Samples(NamedTuple):
@@ -27,11 +25,6 @@ class Samples(NamedTuple):
     density: Float[Tensor, " n"]  # per scene unit
     rgb: Float[Tensor, "n 3"]
     diffuse: Float[Tensor, "n 3"]
-
-
-def bounded(logits: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
-    """Colours in [-0.001, 1.001] (N4: a sigmoid-like map of the paper's sum)."""
-    return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
 
 
 class RadianceField(nn.Module):
@@ -111,26 +104,19 @@ class RadianceField(nn.Module):
     ) -> Samples:
         """Density and colours at scene points seen along unit directions.
 
-        towards: one direction for each run of n / m points: each point's own, or its ray's. The colour is
-        bounded(diffuse + specular_scale * specular), after the view's gain and offset (`appearance`: a row for each
-        direction, or one for all).
+        towards: one direction for each run of n / m points: each point's own, or its ray's. Colours are those of
+        `backends.reference.colours`; `appearance`: gain and offset of each direction's view, or of all.
         """
         heads = self.base(self.cube(points), self.backend)
-        # By ray, so that what is a ray's is computed once. Split, not sliced: one gradient, not a sum of three.
-        runs = (len(towards), len(points) // max(len(towards), 1))
+        # Split, not sliced: one gradient, not a sum of three.
         raw, diffuse, bottleneck = heads.split([1, 3, heads.shape[1] - 4], 1)
-        density, diffuse, gain, offset = _density(raw[:, 0]), diffuse.reshape(*runs, 3), None, None
-        if appearance is not None:
-            gain, offset = torch.exp(appearance[:, None, :3]), appearance[:, None, 3:]
-        shown = bounded(_exposed(diffuse, gain, offset)).flatten(0, 1)
-        if not self.spec.view_layers:
-            return Samples(density, shown, shown)
-        first, *others = self.specular
-        along, across = first.split([bottleneck.shape[1], first.shape[1] - bottleneck.shape[1]], 1)
-        starts = directions.spherical_harmonics(towards) @ across.T
-        specular = self.backend.mlp(bottleneck, [along, *others], starts).reshape(*runs, 3)
-        total = bounded(_exposed(torch.add(diffuse, specular, alpha=specular_scale), gain, offset))
-        return Samples(density, total.flatten(0, 1), shown)
+        specular = None
+        if self.spec.view_layers:
+            first, *others = self.specular
+            along, across = first.split([bottleneck.shape[1], first.shape[1] - bottleneck.shape[1]], 1)
+            starts = directions.spherical_harmonics(towards) @ across.T
+            specular = self.backend.mlp(bottleneck, [along, *others], starts)
+        return Samples(_density(raw[:, 0]), *self.backend.colours(diffuse, specular, appearance, specular_scale))
 
 
 class HashNetwork(nn.Module):
@@ -160,10 +146,6 @@ def _start(name: str, shape: tuple[int, ...], generator: torch.Generator) -> Ten
 
 def _density(raw: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     return safe.exp(raw + DENSITY_SHIFT)
-
-
-def _exposed(logits: Tensor, gain: Tensor | None, offset: Tensor | None) -> Tensor:
-    return logits if gain is None or offset is None else torch.addcmul(offset, logits, gain)
 
 
 def _check(spec: FieldSpec) -> None:

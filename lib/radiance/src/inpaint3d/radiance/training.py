@@ -104,7 +104,7 @@ def descend(
         optimizer.set_rate(rate)
         optimizer.step()
         if field.density_grid is not None:
-            field.density_grid.learn()
+            field.density_grid.learn(field.backend)
         names = {id(parameter): name for name, parameter in field.named_parameters()}
         for parameter, count in optimizer.lost.items():
             place = f"gradient.{names[id(parameter)]}"

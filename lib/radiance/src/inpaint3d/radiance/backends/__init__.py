@@ -15,7 +15,10 @@ from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.backends.reference import Level
 
 Name = Literal["reference", "native"]
-OPERATIONS = ("levels_of", "hash_encode", "mlp", "composite", "resample", "unit_cube", "interlevel", "adam_step")
+OPERATIONS = (
+    "levels_of", "hash_encode", "mlp", "colours", "composite", "grid_histogram", "grid_learn", "resample", "unit_cube",
+    "interlevel", "adam_step",
+)  # fmt: skip
 
 
 @runtime_checkable
@@ -28,6 +31,23 @@ class Backend(Protocol):
     def hash_encode(points: Tensor, table: Tensor, levels: Sequence[Level]) -> Tensor: ...
     @staticmethod
     def mlp(x: Tensor, weights: Sequence[Tensor], starts: Tensor | None = None) -> Tensor: ...
+    @staticmethod
+    def colours(
+        diffuse: Tensor, specular: Tensor | None, exposure: Tensor | None, specular_scale: float = 1.0
+    ) -> tuple[Tensor, Tensor]: ...
+    @staticmethod
+    def grid_histogram(
+        density: Tensor,
+        side: int,
+        origins: Tensor,
+        directions: Tensor,
+        tdist: Tensor,
+        contraction: bool,
+        bound: float,
+        floor: float,
+    ) -> Tensor: ...
+    @staticmethod
+    def grid_learn(density: Tensor, side: int, cube: Tensor, seen: Tensor, memory: float) -> None: ...
     @staticmethod
     def composite(density: Tensor, rgb: Tensor, tdist: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]: ...
     @staticmethod

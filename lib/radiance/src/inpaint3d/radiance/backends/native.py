@@ -18,7 +18,10 @@ from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.memory import GradientMemory
 
-__all__ = ["adam_step", "composite", "hash_encode", "interlevel", "mlp", "resample", "unit_cube"]
+__all__ = [
+    "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode", "interlevel", "mlp", "resample",
+    "unit_cube",
+]  # fmt: skip
 
 
 def supported(*tensors: Tensor) -> bool:
@@ -122,6 +125,91 @@ def mlp(
     if not weights or long or not supported(x, *tensors):
         return reference.mlp(x, weights, starts)
     return _Mlp.apply(x, starts, *weights)
+
+
+class _Colours(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, diffuse: Tensor, specular: Tensor | None, exposure: Tensor | None, scale: float
+    ) -> tuple[Tensor, ...]:
+        given = [None if t is None else t.contiguous() for t in (diffuse, specular, exposure)]
+        ctx.save_for_backward(*given)
+        ctx.scale = scale
+        ctx.set_materialize_grads(False)
+        outs = (diffuse.new_empty(diffuse.shape), diffuse.new_empty(diffuse.shape))
+        kernels.colours_forward(*_arrays(given), *(out.numpy() for out in outs), **_colour_map(scale))
+        return outs
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride] (the decorator hides the names)
+        ctx: Any, *grad_outputs: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        given = ctx.saved_tensors
+        out_grads = [None if grad is None else grad.contiguous() for grad in grad_outputs]
+        grads = [None if tensor is None else torch.empty_like(tensor) for tensor in given]
+        kernels.colours_backward(*_arrays(given), *_arrays(out_grads), *_arrays(grads), **_colour_map(ctx.scale))
+        return *grads, None
+
+
+def _arrays(tensors: Sequence[Tensor | None]) -> list[Any]:
+    return [None if tensor is None else tensor.numpy() for tensor in tensors]
+
+
+def _colour_map(scale: float) -> dict[str, Any]:
+    return {"scale": scale, "padding": reference.COLOUR_PADDING, "threads": torch.get_num_threads()}
+
+
+def colours(
+    diffuse: Float[Tensor, "n 3"],
+    specular: Float[Tensor, "n 3"] | None,
+    exposure: Float[Tensor, "m 6"] | None,
+    specular_scale: float = 1.0,
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """`reference.colours`."""
+    if not supported(*(tensor for tensor in (diffuse, specular, exposure) if tensor is not None)):
+        return reference.colours(diffuse, specular, exposure, specular_scale)
+    return _Colours.apply(diffuse, specular, exposure, specular_scale)
+
+
+@torch.no_grad()
+def grid_histogram(
+    density: Float[Tensor, " cells"],
+    side: int,
+    origins: Float[Tensor, "r 3"],
+    directions: Float[Tensor, "r 3"],
+    tdist: Float[Tensor, " ends"],
+    contraction: bool,
+    bound: float,
+    floor: float,
+) -> Float[Tensor, "r ends-1"]:
+    """`reference.grid_histogram`."""
+    arrays = [tensor.detach().contiguous() for tensor in (density, origins, directions, tdist)]
+    if not supported(*arrays):
+        return reference.grid_histogram(density, side, origins, directions, tdist, contraction, bound, floor)
+    out = tdist.new_empty(len(origins), len(tdist) - 1)
+    cells, starts, towards, ends = (array.numpy() for array in arrays)
+    half = None if contraction else bound
+    kernels.grid_histogram(
+        cells, side, starts, towards, ends, half, floor, out.numpy(), threads=torch.get_num_threads()
+    )
+    return out
+
+
+@torch.no_grad()
+def grid_learn(
+    density: Float[Tensor, " cells"],
+    side: int,
+    cube: Float[Tensor, "n 3"],
+    seen: Float[Tensor, " n"],
+    memory: float,
+) -> None:
+    """`reference.grid_learn`; a density that is not contiguous goes there, and a NaN is not seen here."""
+    if not supported(density, cube, seen) or not density.is_contiguous():
+        reference.grid_learn(density, side, cube, seen, memory)
+        return
+    cube, seen = (tensor.detach().contiguous() for tensor in (cube, seen))
+    kernels.grid_learn(density.detach().numpy(), side, cube.numpy(), seen.numpy(), memory)
 
 
 class _Composite(torch.autograd.Function):

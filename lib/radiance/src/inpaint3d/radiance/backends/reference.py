@@ -11,8 +11,13 @@ from inpaint3d.radiance.architecture import Level, levels_of
 from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.volume import alpha_weights
 
-__all__ = ["Level", "adam_step", "composite", "hash_encode", "interlevel", "levels_of", "mlp", "resample", "unit_cube"]
+__all__ = [
+    "Level", "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode", "interlevel",
+    "levels_of", "mlp", "resample", "unit_cube",
+]  # fmt: skip
 
+# The map of colours reaches a little past [0, 1], so that black and white are not at infinity (Mip-NeRF).
+COLOUR_PADDING = 0.001
 # Instant-NGP's spatial hash (arXiv:2201.05989, eq. 4).
 PRIMES = (1, 2654435761, 805459861)
 
@@ -71,6 +76,73 @@ def mlp(
         if layer == 0 and starts is not None:
             x = x + starts.repeat_interleave(len(x) // max(len(starts), 1), 0)
     return x
+
+
+def colours(
+    diffuse: Float[Tensor, "n 3"],
+    specular: Float[Tensor, "n 3"] | None,
+    exposure: Float[Tensor, "m 6"] | None,
+    specular_scale: float = 1.0,
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """Colours in [-0.001, 1.001] of the logits diffuse + specular_scale * specular, and of diffuse alone (N4).
+
+    A sigmoid-like map of the paper's sum, once it is exposed (N6): log gain and offset of the logits, a row for each
+    run of n / m points.
+    """
+
+    def shown(logits: Tensor) -> Tensor:
+        if exposure is not None:
+            runs = logits.reshape(len(exposure), len(logits) // max(len(exposure), 1), 3)
+            logits = torch.addcmul(exposure[:, None, 3:], runs, torch.exp(exposure[:, None, :3])).flatten(0, 1)
+        return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
+
+    both = diffuse if specular is None else torch.add(diffuse, specular, alpha=specular_scale)
+    return shown(both), shown(diffuse)
+
+
+@torch.no_grad()
+def grid_histogram(
+    density: Float[Tensor, " cells"],
+    side: int,
+    origins: Float[Tensor, "r 3"],
+    directions: Float[Tensor, "r 3"],
+    tdist: Float[Tensor, " ends"],
+    contraction: bool,
+    bound: float,
+    floor: float,
+) -> Float[Tensor, "r ends-1"]:
+    """How rays are to be sampled between tdist, by the densities in side^3 cells of the cube that grids live in.
+
+    The weights are those of volume rendering, of what is looked up at the intervals' middles, spread to neighbours and
+    raised by a floor as in Mip-NeRF (arXiv:2103.13415, section 3.1), since a surface may lie beside the middle.
+    """
+    middle = (tdist[1:] + tdist[:-1]) / 2
+    points = torch.addcmul(origins[:, None], directions[:, None], middle[:, None]).reshape(-1, 3)
+    cell = _cell(unit_cube(points, contraction, bound), side)
+    weights = alpha_weights(density[cell].reshape(len(origins), len(middle)), tdist.expand(len(origins), -1))
+    larger = F.max_pool1d(weights[:, None], 2, stride=1, padding=1)[:, 0]
+    return (larger[:, 1:] + larger[:, :-1]) / 2 + floor
+
+
+@torch.no_grad()
+def grid_learn(
+    density: Float[Tensor, " cells"],
+    side: int,
+    cube: Float[Tensor, "n 3"],
+    seen: Float[Tensor, " n"],
+    memory: float,
+) -> None:
+    """Lessen, in place, the cells in which points of the cube lie to `memory` of themselves, and raise them to the
+    largest density that was seen there.
+    """
+    cell = _cell(cube, side)
+    density[cell] = memory * density[cell]  # equal cells are given equal numbers: no order matters
+    density.scatter_reduce_(0, cell, seen, "amax")
+
+
+def _cell(cube: Float[Tensor, "n 3"], side: int) -> Int64[Tensor, " n"]:
+    x, y, z = (cube * side).long().clamp_(0, side - 1).unbind(1)
+    return (z * side + y) * side + x
 
 
 def composite(
