@@ -1,6 +1,7 @@
 """What fills a hole best: `make bench-joint [STATUE=FOLDER]`.
 
-    python -m benchmarks.joint [--statue FOLDER] [--rows ROW ...] [--seeds N ...] [--quick] [--work DIR] [--out FILE]
+    python -m benchmarks.joint [--statue FOLDER] [--scenes SCENE ...] [--rows ROW ...] [--seeds N ...] [--quick]
+                               [--work DIR] [--out FILE]
 
 Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, prior and masked
 reconstruction through the stage joint-optimization, with three seeds of that stage. Rows, holes and the rule for the
@@ -9,7 +10,7 @@ default stand in rows.py.
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
 its checkpoint, and the file is written after every row. What a step of score distillation costs beyond its parts is
 measured each time, in a second or two (cost.py). Pictures of each row lie in --work/pictures, to be looked at.
-Figures of rows that are not asked for stay as they were; each has the key of the run that it is of.
+Figures of scenes and rows that are not asked for stay as they were; each has the key of the run that it is of.
 
 --statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
 small budget and one seed, to see that it works; its figures mean nothing.
@@ -178,6 +179,7 @@ def table(measured: Measured) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--statue", type=Path, metavar="FOLDER")
+    parser.add_argument("--scenes", nargs="+", choices=HOLES, default=list(HOLES), metavar="SCENE")
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
     parser.add_argument("--seeds", nargs="+", type=int, default=None, metavar="N")
     parser.add_argument("--quick", action="store_true")
@@ -189,14 +191,14 @@ def main() -> None:
     seeds = options.seeds or ([SEEDS[0]] if options.quick else SEEDS)
 
     work.mkdir(parents=True, exist_ok=True)
-    captures = {"demo": (DEMO / "capture", DEMO / "mask.yaml")}
-    if options.statue is not None:
+    captures = {"demo": (DEMO / "capture", DEMO / "mask.yaml")} if "demo" in options.scenes else {}
+    if options.statue is not None and "statue" in options.scenes:
         captures["statue"] = statue_capture(options.statue, work)
     kept: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {}
     if kept.get("quick", options.quick) != options.quick:
         raise SystemExit(f"{out} is of a run {'with' if kept['quick'] else 'without'} --quick; give another --out")
     measured: Measured = kept.get("measured", {})
-    step: dict[str, Any] = {}
+    step: dict[str, Any] = kept.get("sds_step", {})
     for scene, (capture, mask) in captures.items():
         bench = Bench(scene, capture, mask, work, quick=options.quick)
         if scene == "demo":
