@@ -30,6 +30,7 @@ ESTIMATORS: dict[str, Parameters] = {
 PAPER_NAMES = (
     "estimator", "start", "t_min", "t_width", "diffuse_start", "distill_every", "span_first", "span_last", "steps",
     "schedule_steps", "learning_rate_steps", "learning_rate_warmup", "near_gradient", "hole", "guidance",
+    "sight_weight",
 )  # fmt: skip
 PAPER_ROWS: dict[str, Parameters] = {
     "paper": {},

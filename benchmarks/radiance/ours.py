@@ -23,7 +23,7 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.fit import one_step, optimizer_of
+from inpaint3d.stages.nerf_pretraining.fit import Known, one_step, optimizer_of
 from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -45,7 +45,7 @@ class Fit:
             centre_depth=scene.centre_depth,
             points=scene.points,
         )
-        self.config, self.pixels, self.cpu_s, self.losses = config, pixels, 0.0, {}
+        self.config, self.known, self.cpu_s = config, Known(pixels, scene.sightings), 0.0
         self.field = RadianceField(spec, seed, backend)
         self.optimizer = optimizer_of(self.field, config)
         self.generator = torch.Generator().manual_seed(seed)
@@ -53,7 +53,7 @@ class Fit:
     def step(self) -> float:
         """One step; its CPU seconds."""
         start = time.process_time()
-        one_step(self.field, self.pixels, self.optimizer, self.generator, self.config, {})
+        one_step(self.field, self.known, self.optimizer, self.generator, self.config, {})
         spent = time.process_time() - start
         self.cpu_s += spent
         return spent

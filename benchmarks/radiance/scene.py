@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.contracts.artifacts import EffectPlan, PosedCapture
 from inpaint3d.contracts.store import Store
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.scene.capture_io import View, load_points, load_posed
 
 # Of the list of photos from 0: 3, 10, 17, ... are held out, whatever the stages chose.
@@ -27,6 +28,7 @@ class Scene:
     plan: EffectPlan
     centre_depth: float
     points: NDArray[np.float32]
+    sightings: Sightings  # by the training views
 
 
 def pose(capture: Path, repository: Path, folder: Path) -> None:
@@ -47,14 +49,19 @@ def load(folder: Path) -> Scene:
     found = {stage["node"]: stage["outputs"] for stage in report["stages"]}
     store = Store(folder / "store")
     posed = store.open(found["pose-estimation"]["posed-capture"], PosedCapture)
-    views = sorted(load_posed(posed), key=lambda view: view.name)
+    frames = load_posed(posed)
+    views = sorted(frames, key=lambda view: view.name)
     tests = set(range(FIRST_TEST, len(views), EVERY))
+    held_out = {view.name for i, view in enumerate(views) if i in tests}
+    sparse = load_points(posed.path(posed.metadata.points))
+    seen_by_training = np.array([frame.name not in held_out for frame in frames])[sparse.track_frame]
     return Scene(
         train=[replace(view, split="train") for i, view in enumerate(views) if i not in tests],
         test=[replace(view, split="test") for i, view in enumerate(views) if i in tests],
         plan=store.open(found["scene-analysis"]["effect-plan"], EffectPlan).metadata,
         centre_depth=posed.metadata.centre_depth,
-        points=load_points(posed.path(posed.metadata.points)).xyz,
+        points=sparse.xyz,
+        sightings=Sightings.of([frame.camera for frame in frames], sparse, seen_by_training),
     )
 
 

@@ -67,7 +67,7 @@ def test_a_gain_within_the_seeds_spread_does_not_count():
 def test_the_paper_s_rows_take_its_schedule_and_leave_the_sizes_alone():
     paper = Pipeline(REPOSITORY / "pipeline.yaml").parameters("joint-optimization", "paper")
     row = parameters_of("paper", paper)
-    assert (row["t_min"], row["schedule_steps"], row["guidance"]) == (0.2, 2200, 8.0)
+    assert (row["t_min"], row["schedule_steps"], row["guidance"], row["sight_weight"]) == (0.2, 2200, 8.0, 0.0)
     assert not {"rays", "architecture", "depth_patch_size"} & row.keys()
     assert parameters_of("paper-without-depth-loss", paper) == row | {"depth_weight": 0.0}
     assert set(ESTIMATORS) & set(BASELINES) == set()

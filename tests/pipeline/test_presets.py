@@ -19,6 +19,7 @@ BOTH = {
     "hash_decay_weight": 0.1,  # N9
     "reconstruction_weight": 1.0, "interlevel_weight": 1.0, "distortion_weight": 0.005,  # L3
     "depth_patches": 4, "depth_patch_size": 64,  # L6
+    "sight_weight": 0.0,  # the paper knows no sparse points
     "weight_warmup": 100,  # S6
     "t_min": 0.2, "t_max": 0.95, "t_width": 0.2, "t_floor": 0.02, "schedule_steps": 2200,  # S9
     "span_first": 0.711, "span_last": 0.711,  # S1

@@ -41,7 +41,7 @@ def pixels(known: list[np.ndarray | None] | None = None) -> Pixels:
 def step(field: RadianceField, optimizer: Adam, source: Pixels, generator: torch.Generator) -> dict[str, float]:
     rays, target = source.draw(32, generator)
     seen = render(field, rays, generator=generator)
-    terms = {"reconstruction": reconstruction(seen, target), **regularisers(seen, LossWeights())}
+    terms = {"reconstruction": reconstruction(seen.rgb, target), **regularisers(seen, LossWeights())}
     return descend(field, optimizer, terms, learning_rate(optimizer.steps), {})
 
 

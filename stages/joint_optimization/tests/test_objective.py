@@ -8,6 +8,7 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import charbonnier, depth_smoothness_loss, distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import BACKGROUND, render
+from inpaint3d.radiance.sightings import line_of_sight_loss
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Batch, joined
 from inpaint3d.stages.joint_optimization.config import Config
@@ -40,7 +41,7 @@ def batch(room: SyntheticScene) -> Batch:
     patch = camera_rays(room.cameras[1])
     squares = [Rays(patch.origins[a : a + 4, 8:12], patch.directions[a : a + 4, 8:12]).flatten() for a in (3, 20)]
     target = torch.rand(KNOWN, 3, generator=torch.Generator().manual_seed(1))
-    return Batch(joined([first, *squares]), target, PATCHES)
+    return Batch(joined([first, *squares]), target, torch.empty(0), PATCHES)
 
 
 def terms_of(field: RadianceField, batch: Batch, distilled: Distilled | None = None, weight: float = 0.0) -> Terms:
@@ -68,7 +69,7 @@ def test_masked_rays_pay_no_reconstruction_but_regularisers(field: RadianceField
     origins = batch.rays.origins
     keep = torch.ones(len(origins), dtype=torch.bool)
     keep[KNOWN : KNOWN + MASKED] = False
-    without = Batch(Rays(origins[keep], batch.rays.directions[keep]), batch.target, PATCHES)
+    without = Batch(Rays(origins[keep], batch.rays.directions[keep]), batch.target, torch.empty(0), PATCHES)
     # Without jitter, else the two draws differ in more than the rays.
     full, less = (step_terms(field, b, None, 0.0, CONFIG, anneal=1.0, generator=None) for b in (batch, without))
     torch.testing.assert_close(full["reconstruction"], less["reconstruction"])
@@ -108,3 +109,18 @@ def test_a_term_without_a_gradient_has_norm_0(field: RadianceField, batch: Batch
     """A field whose sampler is a density grid has no proposals to teach."""
     terms = terms_of(field, batch) | {"interlevel": torch.tensor(0.0)}
     assert gradient_norms(field, terms)["interlevel"] == 0
+
+
+def test_rays_to_sparse_points_are_those_before_the_patches(field: RadianceField, batch: Batch) -> None:
+    """Their term alone is of them; reconstruction does not see them."""
+    distance = torch.full((MASKED,), 0.8)
+    sighted = Batch(batch.rays, batch.target, distance, PATCHES)
+    assert sighted.sighted == slice(KNOWN, KNOWN + MASKED)
+    plain, terms = terms_of(field, batch), terms_of(field, sighted)
+    assert "sight" not in plain
+    stream, background = torch.Generator().manual_seed(0), torch.full((len(batch.rays.origins), 3), BACKGROUND)
+    background[:KNOWN] = torch.rand(KNOWN, 3, generator=stream)
+    seen = render(field, batch.rays, generator=stream, background=background)
+    by_hand = line_of_sight_loss(seen, slice(KNOWN, KNOWN + MASKED), distance)
+    torch.testing.assert_close(terms["sight"], CONFIG.sight_weight * by_hand)
+    torch.testing.assert_close(terms["reconstruction"], plain["reconstruction"])

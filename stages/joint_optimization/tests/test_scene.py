@@ -1,7 +1,7 @@
 import numpy as np
 
 from inpaint3d.scene.synthetic import SyntheticScene
-from inpaint3d.stages.joint_optimization.scene import unmasked
+from inpaint3d.stages.joint_optimization.scene import Scene, SceneView, unmasked
 
 
 def test_points_under_a_mask_are_dropped(room: SyntheticScene) -> None:
@@ -15,3 +15,19 @@ def test_points_under_a_mask_are_dropped(room: SyntheticScene) -> None:
 
 def test_without_masks_all_points_stay(room: SyntheticScene) -> None:
     assert unmasked(room.points, [np.zeros_like(m) for m in room.object_masks]).all()
+
+
+def test_sightings_are_those_of_the_views_to_fit(room: SyntheticScene) -> None:
+    shape = room.object_masks[0].shape
+    views = [
+        SceneView(name, camera, np.zeros((*shape, 3), np.float32), np.zeros(shape, bool), np.ones(shape, bool))
+        for name, camera in zip(room.names, room.cameras, strict=True)
+    ]
+    scene = Scene(tuple(views[1:]), (views[0],), room.points, tuple(room.names))
+    sighted = scene.sightings("cpu")
+    assert sighted is not None
+    assert len(sighted) == (room.points.track_frame != 0).sum() > 0
+    away = np.linalg.norm(sighted.rays.origins.numpy() - room.cameras[0].centre, axis=1)
+    assert away.min() > 1e-3
+    assert Scene(tuple(views[:1]), tuple(views[1:]), room.points.select(np.zeros(len(room.points), bool)),
+                 tuple(room.names)).sightings("cpu") is None  # fmt: skip

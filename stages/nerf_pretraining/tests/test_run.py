@@ -24,13 +24,14 @@ from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.store import Artifact, Record, Store
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels, psnr
-from inpaint3d.scene.capture_io import load_posed, write_points, write_view
+from inpaint3d.scene.capture_io import load_points, load_posed, write_points, write_view
 from inpaint3d.scene.image_io import read_exr
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.fit import fit
+from inpaint3d.stages.nerf_pretraining.fit import Known, fit
 from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 TEST_VIEWS = (3, 7, 11)
@@ -162,7 +163,9 @@ def test_stopped_it_goes_on_as_if_nothing_had_happened(store: Store, tmp_path: P
     effects = store.open(plan(store, "exposure", "view-dependence"), EffectPlan).metadata
     config = Config.model_validate(TINY)
     views = load_posed(capture)
-    pixels = Pixels.of([v.camera for v in views], [v.image() for v in views], [v.valid() for v in views])
+    cameras, sparse = [v.camera for v in views], load_points(capture.path(capture.metadata.points))
+    pixels = Pixels.of(cameras, [v.image() for v in views], [v.valid() for v in views])
+    known = Known(pixels, Sightings.of(cameras, sparse))
     centre_depth = capture.metadata.centre_depth
     points = np.zeros((0, 3), np.float32)
     spec = field_spec(config.architecture, effects, views=len(views), centre_depth=centre_depth, points=points)
@@ -174,7 +177,7 @@ def test_stopped_it_goes_on_as_if_nothing_had_happened(store: Store, tmp_path: P
         (tmp_path / folder).mkdir(exist_ok=True)
         ctx = Context(seed=0, device="cpu", threads=1, work=tmp_path / folder, emit=emit)
         field = RadianceField(spec, 0)
-        return field, fit(field, pixels, HeldOut(views[:1], 12, "cpu"), config, ctx)
+        return field, fit(field, known, HeldOut(views[:1], 12, "cpu"), config, ctx)
 
     whole, curve = fitted_in("whole")
     with pytest.raises(InterruptedRun):

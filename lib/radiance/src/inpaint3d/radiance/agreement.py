@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.rays import Rays
 from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.sightings import Sightings, stopped_before
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 
@@ -45,20 +45,12 @@ def agreement(
     if not len(sightings):
         return None
     chosen = sightings[np.unique(np.linspace(0, len(sightings) - 1, MOST).round().astype(int))]
-    origins = np.stack([camera.centre for camera in cameras])[points.track_frame[chosen]]
-    offsets = points.xyz[points.track_point[chosen]] - origins
-    distance = np.linalg.norm(offsets, axis=1)
-    rays = Rays(
-        torch.from_numpy(origins).to(field.device, torch.float32),
-        torch.from_numpy(offsets / distance[:, None]).to(field.device, torch.float32),
-        None,
-    )
+    sighted = Sightings.of(cameras, points, chosen, field.device)
     found, in_front = [], []
     for start in range(0, len(chosen), block):
         part = slice(start, start + block)
-        seen = render(field, rays[part])
-        found.append(seen.median_depth.cpu().numpy())
-        clear = torch.from_numpy(FRONT * distance[part, None]).to(seen.tdist)
-        in_front.append((seen.weights * (seen.tdist[:, 1:] <= clear)).sum(1).cpu().numpy())
-    error = np.abs(np.concatenate(found) - distance) / distance
-    return Agreement(float(np.median(error)), float(np.concatenate(in_front).mean()), len(chosen))
+        seen = render(field, sighted.rays[part])
+        found.append(seen.median_depth)
+        in_front.append(stopped_before(seen.weights, seen.tdist, FRONT * sighted.distance[part]))
+    error = (torch.cat(found) - sighted.distance).abs() / sighted.distance
+    return Agreement(float(error.quantile(0.5)), float(torch.cat(in_front).mean()), len(chosen))

@@ -33,6 +33,13 @@ class Rays:
         return Rays(self.origins[index], self.directions[index], view)
 
 
+def joined(parts: Sequence[Rays]) -> Rays:
+    """Rays [n] of several draws as one; the view is kept where every part has one."""
+    views = [p.view for p in parts if p.view is not None]
+    view = torch.cat(views) if len(views) == len(parts) else None
+    return Rays(torch.cat([p.origins for p in parts]), torch.cat([p.directions for p in parts]), view)
+
+
 @dataclass(frozen=True)
 class CameraStack:
     """Several cameras as tensors, so that rays of pixels of different views come in one go."""

@@ -80,9 +80,9 @@ def regularisers(rendering: Rendering, weights: LossWeights) -> dict[str, Tensor
     return terms
 
 
-def reconstruction(rendering: Rendering, target: Float[Tensor, "*n 3"], weight: float = 1.0) -> Float[Tensor, ""]:
+def reconstruction(rgb: Float[Tensor, "*n 3"], target: Float[Tensor, "*n 3"], weight: float = 1.0) -> Float[Tensor, ""]:
     """Charbonnier loss of colours, mean over rays and channels (L1, L8)."""
-    return weight * charbonnier(rendering.rgb - target).mean()
+    return weight * charbonnier(rgb - target).mean()
 
 
 def descend(

@@ -15,15 +15,18 @@ SPARSE = "sparse-points"
 
 
 def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], points: SparsePoints) -> list[Protocol]:
-    """`sparse-points`: every field against the points that the photos saw outside their masks.
+    """`sparse-points`: every field against the points that held-out photos saw outside their masks.
 
     cameras: of all frames in order, at the size that the tracks are measured in; photos: the same frames, reduced.
-    Where one field's figures are not finite it is counted, and none is scored.
+    Fields may have learnt from what the training photos saw: those judge only where no photo is held out. Where a
+    field's figures are not finite it is counted, and none is scored.
     """
     known = outside(points, cameras, photos)
+    held_out = np.array([photo.split == "test" for photo in photos])[points.track_frame]
+    judges = known & held_out if (known & held_out).any() else known
     metrics: list[Metric] = []
     for method in bench.methods:
-        found = agreement(method.field, cameras, points, among=known, block=bench.config.block)
+        found = agreement(method.field, cameras, points, among=judges, block=bench.config.block)
         if found is None:
             return []
         if not np.isfinite((found.depth_error, found.floaters)).all():
@@ -35,9 +38,10 @@ def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], poin
     return [
         Protocol(
             name=SPARSE,
-            description=f"{count} sightings of the points that the poses were found with, as the photos saw them "
-            "outside their masks. Depth: median of the relative difference between a ray's median distance and its "
-            f"point's. Opacity in front: what a ray gathers in the first {FRONT:.0%} of the way, 0 in clear air.",
+            description=f"{count} sightings of the points that the poses were found with, as "
+            f"{'held-out' if judges is not known else 'training'} photos saw them outside their masks. Depth: median "
+            "of the relative difference between a ray's median distance and its point's. Opacity in front: what a ray "
+            f"gathers in the first {FRONT:.0%} of the way, 0 in clear air.",
             metrics=tuple(metrics),
         )
     ]

@@ -4,7 +4,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.radiance.fields import COLOUR_PADDING, RadianceField
+from inpaint3d.radiance.backends.reference import COLOUR_PADDING
+from inpaint3d.radiance.fields import RadianceField
 
 Image = NDArray[np.float32]
 DARKEST = 1e-3

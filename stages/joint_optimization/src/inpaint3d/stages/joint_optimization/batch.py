@@ -7,33 +7,51 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.radiance.rays import CameraStack, Rays
+from inpaint3d.radiance.rays import CameraStack, Rays, joined
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.stages.joint_optimization.scene import SceneView
 
 
 @dataclass(frozen=True)
 class Batch:
-    """All rays of a step in one row: known pixels first (made-up ones last among them), then masked ones, then patches.
+    """All rays of a step in one row: known pixels first (made-up ones last among them), then masked ones, then those to
+    sparse points, then patches.
 
-    target: colours [k, 3] of the first k rays; patches: (p, h, w) of the last p * h * w rays.
+    target: colours [k, 3] of the first k rays; distance [m]: to the sparse points, scene units; patches: (p, h, w) of
+    the last p * h * w rays.
     """
 
     rays: Rays
     target: Float[Tensor, "k 3"]
+    distance: Float[Tensor, " m"]
     patches: tuple[int, int, int]
+
+    @property
+    def sighted(self) -> slice:
+        """Which rays lead to sparse points."""
+        p, h, w = self.patches
+        end = len(self.rays.origins) - p * h * w
+        return slice(end - len(self.distance), end)
 
 
 class RayBank:
     """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper.
 
     filled: the views again, their holes made up: of each batch the share `filled_share` shows what was made up, in
-    place of masked rays that nothing is known of.
+    place of masked rays that nothing is known of. sightings: of sparse points by these views.
     """
 
     def __init__(
-        self, views: Sequence[SceneView], device: str, *, filled: Sequence[SceneView] = (), filled_share: float = 0.0
+        self,
+        views: Sequence[SceneView],
+        device: str,
+        *,
+        filled: Sequence[SceneView] = (),
+        filled_share: float = 0.0,
+        sightings: Sightings | None = None,
     ) -> None:
+        self._sightings = sightings
         cameras = [v.camera for v in views]
         self._known = Pixels.of(cameras, [v.image for v in views], [v.known for v in views], device)
         masked = any(v.hole.any() for v in views)
@@ -46,8 +64,8 @@ class RayBank:
         self._cameras = CameraStack.of(cameras, device)
         self._sizes = torch.tensor([[c.width, c.height] for c in cameras])
 
-    def draw(self, count: int, *, patches: int, patch_size: int, generator: torch.Generator) -> Batch:
-        """`count` random rays and `patches` squares of neighbouring pixels of random views."""
+    def draw(self, count: int, *, patches: int, patch_size: int, generator: torch.Generator, sighted: int = 0) -> Batch:
+        """`count` random rays, `sighted` to sparse points, `patches` squares of neighbouring pixels of random views."""
         share = len(self._masked) / (len(self._masked) + len(self._known)) if self._masked else 0.0
         hidden = round(count * share)
         made_up = round(count * self._filled_share) if self._filled else 0
@@ -59,9 +77,14 @@ class RayBank:
             target = torch.cat([target, colours])
         if self._masked and hidden:
             parts.append(self._masked.draw(hidden, generator)[0])
+        distance = target.new_empty(0)
+        if self._sightings and sighted:
+            toward = self._sightings.draw(sighted, generator)
+            parts.append(toward.rays)
+            distance = toward.distance
         if patches:
             parts.append(self._patches(patches, patch_size, generator))
-        return Batch(joined(parts), target, (patches, patch_size, patch_size))
+        return Batch(joined(parts), target, distance, (patches, patch_size, patch_size))
 
     def _patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
         view = torch.randint(len(self._sizes), (count,), generator=generator)
@@ -72,10 +95,3 @@ class RayBank:
         xy = (corner[:, None, None] + square).reshape(-1, 2)
         device = self._cameras.pinhole.device
         return self._cameras.rays(view.repeat_interleave(size * size).to(device), xy.to(device))
-
-
-def joined(parts: Sequence[Rays]) -> Rays:
-    """Rays [n] of several draws as one; the view is kept where every part has one."""
-    views = [p.view for p in parts if p.view is not None]
-    view = torch.cat(views) if len(views) == len(parts) else None
-    return Rays(torch.cat([p.origins for p in parts]), torch.cat([p.directions for p in parts]), view)

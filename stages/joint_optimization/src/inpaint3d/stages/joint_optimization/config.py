@@ -127,6 +127,12 @@ class Config(Closed):
     reconstruction_weight: Positive = Field(default=1.0, description="L3")
     interlevel_weight: Weight = Field(default=1.0, description="L3")
     distortion_weight: Weight = Field(default=0.005, description="L3")
+    sight_weight: Weight = Field(
+        default=0.1,
+        description="weight of clear air before the sparse points that no mask covers, and of light stopping there; "
+        "0 in the paper",
+    )
+    sight_rays: Count = Field(default=32, description="rays a step to such points")
     depth_weight: Weight = Field(default=1e-4, description="weight of depth smoothness (L3, L6)")
     depth_patches: Count = Field(default=4, description="patches a step for depth smoothness (L6)")
     depth_patch_size: Annotated[int, Field(ge=2)] = Field(default=8, description="their side, pixels; paper: 64 (L6)")

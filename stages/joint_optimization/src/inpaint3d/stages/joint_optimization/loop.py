@@ -60,7 +60,8 @@ class Problem:
     @cached_property
     def bank(self) -> RayBank:
         device, share = str(self.field.device), self.config.filled_share
-        return RayBank(self.scene.train, device, filled=self.filled, filled_share=share)
+        sightings = self.scene.sightings(device)
+        return RayBank(self.scene.train, device, filled=self.filled, filled_share=share, sightings=sightings)
 
     def since(self, step: int) -> int:
         """Steps since the start of distillation (S6, S8); negative before it, and throughout without a guide."""
@@ -80,6 +81,7 @@ class Problem:
             patches=config.depth_patches if config.depth_weight else 0,
             patch_size=config.depth_patch_size,
             generator=generator,
+            sighted=max(1, config.sight_rays // ranks.count) if config.sight_weight else 0,
         )
         anneal = proposal_anneal(step, config.proposal_anneal_steps) if self.fresh else 1.0
         terms = step_terms(self.field, batch, distilled, weight, config, anneal=anneal, generator=generator)

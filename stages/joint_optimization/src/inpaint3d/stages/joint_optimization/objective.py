@@ -14,6 +14,7 @@ from inpaint3d.radiance.losses import (
     interlevel_loss,
 )
 from inpaint3d.radiance.rendering import BACKGROUND, render
+from inpaint3d.radiance.sightings import line_of_sight_loss
 from inpaint3d.stages.joint_optimization.batch import Batch
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.distil import Distilled
@@ -65,6 +66,8 @@ def step_terms(
         here = distortion_loss(seen)
         both = here if distilled is None else (1 - share) * here + share * distilled.distortion
         terms["distortion"] = config.distortion_weight * both
+    if config.sight_weight and len(batch.distance):
+        terms["sight"] = config.sight_weight * line_of_sight_loss(seen, batch.sighted, batch.distance)
     if config.depth_weight:
         p, h, w = batch.patches
         depth, rgb = seen.depth[-p * h * w :].reshape(p, h, w), seen.rgb[-p * h * w :].reshape(p, h, w, 3)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.artifacts import MaskSet, PosedCapture
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed
 from inpaint3d.scene.image_io import read_mask
@@ -36,11 +37,29 @@ class SceneView:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Views to fit, views kept back to score the known pixels, and sparse points [p, 3] that no mask covers."""
+    """Views to fit, views kept back to score the known pixels, and the sparse points that no mask covers.
+
+    order: names of the frames that the points' tracks count by.
+    """
 
     train: tuple[SceneView, ...]
     test: tuple[SceneView, ...]
-    points: NDArray[np.float32]
+    sparse: SparsePoints
+    order: tuple[str, ...]
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """[p, 3] in scene units."""
+        return self.sparse.xyz
+
+    def sightings(self, device: str) -> Sightings | None:
+        """The sparse points as the views to fit saw them; None where they saw none."""
+        cameras = {v.name: v.camera for v in (*self.train, *self.test)}
+        fitted = np.isin(self.order, [v.name for v in self.train])
+        among = fitted[self.sparse.track_frame]
+        if not among.any():
+            return None
+        return Sightings.of([cameras[name] for name in self.order], self.sparse, among, device)
 
 
 def load_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> Scene:
@@ -58,9 +77,10 @@ def load_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> Scene
     if not any(v.known.any() for v in views["train"]):
         raise BadInputError("the masks cover every training pixel; author a smaller mask")
     points = load_points(posed.path(posed.metadata.points))
-    in_order = {v.name: v.hole for v in (*views["train"], *views["test"])}
-    seen = unmasked(points, [in_order[f.name] for f in posed.metadata.frames])
-    return Scene(tuple(views["train"]), tuple(views["test"]), points.xyz[seen])
+    holes = {v.name: v.hole for v in (*views["train"], *views["test"])}
+    order = tuple(f.name for f in posed.metadata.frames)
+    seen = unmasked(points, [holes[name] for name in order])
+    return Scene(tuple(views["train"]), tuple(views["test"]), points.select(seen), order)
 
 
 def unmasked(points: SparsePoints, holes: Sequence[Mask]) -> Mask:

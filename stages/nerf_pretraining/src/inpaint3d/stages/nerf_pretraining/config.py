@@ -42,6 +42,10 @@ class Config(Closed):
 
     interlevel_weight: Weight = Field(default=1.0, description="L3, L5")
     distortion_weight: Weight = Field(default=0.005, description="L3, L4")
+    sight_weight: Weight = Field(
+        default=0.1, description="weight of clear air before sparse points and of light stopping there; 0 in the paper"
+    )
+    sight_rays: Count = Field(default=32, description="rays a step to points as the training views saw them")
     hash_decay_weight: Weight = Field(default=0.1, description="weight decay of the grids (N9)")
 
     score_every: Count = Field(default=200, description="steps between points of the learning curve")

@@ -3,6 +3,7 @@
 import math
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,7 +13,9 @@ from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.optim import Adam, learning_rate, make_optimizer
+from inpaint3d.radiance.rays import joined
 from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.sightings import Sightings, line_of_sight_loss
 from inpaint3d.radiance.training import (
     LossWeights,
     Pixels,
@@ -31,8 +34,15 @@ CurveRow = list[float]
 """Step, rays so far, mean reconstruction loss since the row before, held-out PSNR in dB (NaN: no held-out view)."""
 
 
-def fit(field: RadianceField, pixels: Pixels, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
-    """Fit the field to the pixels and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
+class Known(NamedTuple):
+    """What a field is fitted to: pixels of the training views, and sparse points as these saw them."""
+
+    pixels: Pixels
+    sightings: Sightings | None = None
+
+
+def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
+    """Fit the field to what is known and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
     optimizer = optimizer_of(field, config)
     generator = torch.Generator().manual_seed(ctx.seed)
     tally = Tally()
@@ -46,7 +56,7 @@ def fit(field: RadianceField, pixels: Pixels, held_out: HeldOut, config: Config,
         except InterruptedRun:
             _save(path, field, optimizer, generator, tally)
             raise
-        values, rays = one_step(field, pixels, optimizer, generator, config, ctx.non_finite)
+        values, rays = one_step(field, known, optimizer, generator, config, ctx.non_finite)
         tally.add(values["reconstruction"], rays)
         done = step + 1
         if done % config.score_every == 0 or done == config.steps:
@@ -71,7 +81,7 @@ def optimizer_of(field: RadianceField, config: Config) -> Adam:
 
 def one_step(
     field: RadianceField,
-    pixels: Pixels,
+    known: Known,
     optimizer: Adam,
     generator: torch.Generator,
     config: Config,
@@ -80,15 +90,21 @@ def one_step(
     """One step of the fit: the value of each loss term, and how many rays it took."""
     step = optimizer.steps
     count = rays_at(step, first=min(config.first_rays, config.rays), last=config.rays, ramp=config.ramp_steps)
-    rays, target = pixels.draw(count, generator)
+    rays, target = known.pixels.draw(count, generator)
+    toward = None
+    if known.sightings and config.sight_weight:
+        toward = known.sightings.draw(config.sight_rays, generator)
+        rays = joined([rays, toward.rays])
     # A background that nothing can imitate: what the photos show has to become opaque.
-    background = torch.rand(count, 3, generator=generator).to(target)
+    background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
     anneal = proposal_anneal(step, config.proposal_anneal_steps) if config.proposal_anneal_steps else 1.0
     rendering = render(
         field, rays, generator=generator, background=background, anneal=anneal, near_gradient=config.near_gradient
     )
     weights = LossWeights(interlevel=config.interlevel_weight, distortion=config.distortion_weight)
-    terms = {"reconstruction": reconstruction(rendering, target), **regularisers(rendering, weights)}
+    terms = {"reconstruction": reconstruction(rendering.rgb[:count], target), **regularisers(rendering, weights)}
+    if toward is not None:
+        terms["sight"] = config.sight_weight * line_of_sight_loss(rendering, slice(count, None), toward.distance)
     rate = learning_rate(
         step,
         initial=config.learning_rate,

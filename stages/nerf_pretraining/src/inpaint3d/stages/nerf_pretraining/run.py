@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 
 from inpaint3d.contracts.artifacts import EffectPlan, PosedCapture, RadianceFieldArtifact
@@ -12,11 +13,12 @@ from inpaint3d.radiance.agreement import agreement
 from inpaint3d.radiance.artifact import write_curve, write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import save_field
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.fit import fit
+from inpaint3d.stages.nerf_pretraining.fit import Known, fit
 from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 
@@ -45,13 +47,20 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     )
     if not len(pixels):
         raise BadInputError("no pixel of the training views is valid; re-run pose-estimation")
-    curve = fit(field, pixels, HeldOut(test[: config.score_views], config.score_side, ctx.device), config, ctx)
+    seen_by_training = np.array([view.split == "train" for view in views])[points.track_frame]
+    sightings = None
+    if seen_by_training.any():
+        sightings = Sightings.of([view.camera for view in views], points, seen_by_training, ctx.device)
+    curve = fit(
+        field, Known(pixels, sightings), HeldOut(test[: config.score_views], config.score_side, ctx.device), config, ctx
+    )
 
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
     write_curve(folder, curve)
     score = HeldOut(test, config.score_side, ctx.device).psnr(field, config.block)
-    agrees = agreement(field, [view.camera for view in views], points, block=config.block)
+    judges = ~seen_by_training if test else None
+    agrees = agreement(field, [view.camera for view in views], points, among=judges, block=config.block)
     shown = write_views(
         folder,
         field,
