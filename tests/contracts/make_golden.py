@@ -6,7 +6,7 @@ The instances are what the stubs write. One that is there is never touched: it s
 import tempfile
 from pathlib import Path
 
-from inpaint3d.contracts.artifacts import ImageCorpus
+from inpaint3d.contracts.artifacts import DiffusersPipeline, ImageCorpus
 from inpaint3d.contracts.manifest import MANIFEST
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.store import Store
@@ -21,7 +21,7 @@ def main() -> None:
         for last in ("evaluation", "usd-export"):
             upstream = Upstream(pipeline, last, store)
             result = invoke(pipeline.stages[last], store, upstream.inputs_of(last), stub=True)
-            produced = [*upstream.produced.values(), *result.outputs.values(), _corpus(store)]
+            produced = [*upstream.produced.values(), *result.outputs.values(), _corpus(store), _pipeline(store)]
             for digest in produced:
                 name, _, version = store.manifest(digest).schema_id.partition("@")
                 target = REPOSITORY / "schemas" / "golden" / name / f"{version}.json"
@@ -36,6 +36,13 @@ def _corpus(store: Store) -> str:
     (folder / "images" / "a.jpg").write_bytes(b"not looked at")
     picture = ImageCorpus.Picture(name="a", path="images/a.jpg", scene="a", split="train")
     return store.put(folder, "image-corpus", ImageCorpus(pictures=(picture,)))
+
+
+def _pipeline(store: Store) -> str:
+    folder = store.private_folder()
+    (folder / "pipeline").mkdir()
+    (folder / "pipeline" / "model_index.json").write_text('{"_class_name": "StableDiffusionInpaintPipeline"}')
+    return store.put(folder, "diffusers-pipeline", DiffusersPipeline(kind="StableDiffusionInpaintPipeline"))
 
 
 if __name__ == "__main__":

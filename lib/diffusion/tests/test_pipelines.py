@@ -1,9 +1,5 @@
-"""Tiny pipelines of real classes with random weights, built from config."""
-
-import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -12,55 +8,10 @@ from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.pipelines import PipelinePrior, load_pipeline
 from inpaint3d.diffusion.samplers import ddim, inpaint
 from inpaint3d.diffusion.schedules import alpha, cosine_log_snr, cosine_time, per_image, sigma
+from tests.tiny_pipelines import latent_pipeline, pixel_pipeline
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::UserWarning")
 diffusers = pytest.importorskip("diffusers")
-
-
-def _scheduler(**options: Any) -> Any:
-    plan = {"clip_sample": False, "set_alpha_to_one": False, "beta_schedule": "scaled_linear"}
-    return diffusers.DDIMScheduler(beta_start=0.00085, beta_end=0.012, **(plan | options))
-
-
-def _latent_pipeline(folder: Path, channels: int, **scheduler: Any) -> Any:
-    from transformers import CLIPTextConfig, CLIPTextModel, CLIPTokenizer
-
-    torch.manual_seed(0)
-    tokens = ["<|startoftext|>", "<|endoftext|>", *"chair", *(f"{letter}</w>" for letter in "chair")]
-    (folder / "vocab.json").write_text(json.dumps({token: i for i, token in enumerate(tokens)}))
-    (folder / "merges.txt").write_text("#version: 0.2\n")
-    blocks = {"block_out_channels": (8, 16), "layers_per_block": 1, "norm_num_groups": 4}
-    vae = diffusers.AutoencoderKL(
-        down_block_types=("DownEncoderBlock2D",) * 2, up_block_types=("UpDecoderBlock2D",) * 2, sample_size=32, **blocks
-    )
-    with torch.no_grad():  # the code's mean, which is all that is taken of it, and no noise about it
-        vae.quant_conv.weight[4:].zero_()
-        vae.quant_conv.bias[4:].fill_(-60.0)
-    unet = diffusers.UNet2DConditionModel(
-        sample_size=16, in_channels=channels, out_channels=4, cross_attention_dim=16, attention_head_dim=4,
-        down_block_types=("DownBlock2D", "CrossAttnDownBlock2D"), up_block_types=("CrossAttnUpBlock2D", "UpBlock2D"),
-        **blocks,
-    )  # fmt: skip
-    text = CLIPTextConfig(
-        hidden_size=16, intermediate_size=16, num_attention_heads=2, num_hidden_layers=1, vocab_size=len(tokens),
-        bos_token_id=0, eos_token_id=1, pad_token_id=1,
-    )  # fmt: skip
-    pipeline = diffusers.StableDiffusionInpaintPipeline(
-        vae=vae.eval(), unet=unet.eval(), text_encoder=CLIPTextModel(text).eval(), scheduler=_scheduler(**scheduler),
-        tokenizer=CLIPTokenizer(str(folder / "vocab.json"), str(folder / "merges.txt"), model_max_length=8),
-        safety_checker=None, feature_extractor=None, requires_safety_checker=False,
-    )  # fmt: skip
-    pipeline.set_progress_bar_config(disable=True)
-    return pipeline
-
-
-def _pixel_pipeline(**scheduler: Any) -> Any:
-    torch.manual_seed(0)
-    unet = diffusers.UNet2DModel(
-        sample_size=32, block_out_channels=(8, 16), layers_per_block=1, norm_num_groups=4, attention_head_dim=4,
-        down_block_types=("DownBlock2D", "AttnDownBlock2D"), up_block_types=("AttnUpBlock2D", "UpBlock2D"),
-    )  # fmt: skip
-    return diffusers.DDPMPipeline(unet=unet.eval(), scheduler=_scheduler(**scheduler))
 
 
 @pytest.fixture
@@ -78,7 +29,7 @@ def hole() -> torch.Tensor:
 
 @pytest.mark.parametrize("prediction", ["epsilon", "v_prediction"])
 def test_sampling_is_what_the_pipeline_itself_does(prediction, picture, hole, tmp_path: Path) -> None:
-    pipeline = _latent_pipeline(tmp_path, 9, prediction_type=prediction, steps_offset=1)
+    pipeline = latent_pipeline(tmp_path, 9, prediction_type=prediction, steps_offset=1)
     prior = PipelinePrior(pipeline, prompt="chair")
     noise = torch.randn(2, 4, 16, 16, generator=torch.Generator().manual_seed(0))
     theirs = pipeline(
@@ -95,8 +46,8 @@ def test_sampling_is_what_the_pipeline_itself_does(prediction, picture, hole, tm
 
 
 @pytest.mark.parametrize("channels", [9, 4])
-def test_a_latent_pipeline_keeps_known_pixels_and_never_sees_the_hole(channels, picture, hole, tmp_path: Path) -> None:
-    prior = PipelinePrior(_latent_pipeline(tmp_path, channels))
+def test_alatent_pipeline_keeps_known_pixels_and_never_sees_the_hole(channels, picture, hole, tmp_path: Path) -> None:
+    prior = PipelinePrior(latent_pipeline(tmp_path, channels))
     assert isinstance(prior, Denoiser)
     assert prior.size == 32
     one, other = (
@@ -110,7 +61,7 @@ def test_a_latent_pipeline_keeps_known_pixels_and_never_sees_the_hole(channels, 
 
 
 def test_known_pixels_are_noised_exactly_where_a_model_is_not_shown_the_mask(picture, hole) -> None:
-    prior = PipelinePrior(_pixel_pipeline())
+    prior = PipelinePrior(pixel_pipeline())
     t, eps = torch.tensor([0.3, 0.8]), torch.randn(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     z = per_image(alpha(t)) * picture + per_image(sigma(t)) * eps
     noise = prior.predict_noise(z, t, picture, hole)
@@ -121,8 +72,23 @@ def test_known_pixels_are_noised_exactly_where_a_model_is_not_shown_the_mask(pic
     assert torch.equal(noise[~known], inside[~known])
 
 
+def test_what_is_shown_is_encoded_once(picture, hole, tmp_path: Path) -> None:
+    prior = PipelinePrior(latent_pipeline(tmp_path, 9))
+    made: list[int] = []
+    prior.vae.encoder.register_forward_hook(lambda *_: made.append(1))
+    z, t = torch.zeros(2, *prior.latent_shape), torch.tensor([0.4, 0.9])
+    asked = [prior.predict_noise(z, t, picture, hole, guidance=2.0) for _ in range(3)]
+    assert len(made) == 2  # the picture and the null condition's
+    assert torch.equal(asked[0], asked[2])
+    other = prior.predict_noise(z, t, -picture, hole, guidance=2.0)
+    assert len(made) == 3
+    assert torch.equal(
+        other, PipelinePrior(latent_pipeline(tmp_path, 9)).predict_noise(z, t, -picture, hole, guidance=2.0)
+    )
+
+
 def test_guidance_leads_away_from_an_all_hole_picture_without_a_text(picture, hole, tmp_path: Path) -> None:
-    pipeline = _latent_pipeline(tmp_path, 9)
+    pipeline = latent_pipeline(tmp_path, 9)
     told, untold = PipelinePrior(pipeline, prompt="chair"), PipelinePrior(pipeline)
     z, t = torch.randn(2, 4, 16, 16, generator=torch.Generator().manual_seed(0)), torch.tensor([0.4, 0.9])
     conditional = told.predict_noise(z, t, picture, hole)
@@ -133,7 +99,7 @@ def test_guidance_leads_away_from_an_all_hole_picture_without_a_text(picture, ho
 
 
 def test_it_is_asked_at_the_row_of_its_table_that_is_as_noisy() -> None:
-    prior = PipelinePrior(_pixel_pipeline())
+    prior = PipelinePrior(pixel_pipeline())
     rows = torch.tensor([0, 1, 500, 998, 999])
     torch.testing.assert_close(prior.timestep(cosine_time(prior.log_snr[rows])), rows.float(), rtol=0, atol=1e-2)
     between = prior.timestep(cosine_time((prior.log_snr[500:501] + prior.log_snr[501:502]) / 2))
@@ -144,7 +110,7 @@ def test_it_is_asked_at_the_row_of_its_table_that_is_as_noisy() -> None:
 
 
 def test_a_folder_is_loaded_and_what_cannot_be_is_named(tmp_path: Path, picture, hole, monkeypatch) -> None:
-    pipeline = _pixel_pipeline()
+    pipeline = pixel_pipeline()
     pipeline.save_pretrained(tmp_path / "model")
     loaded, t = load_pipeline(str(tmp_path / "model")), torch.tensor([0.3, 0.8])
     expected = PipelinePrior(pipeline).predict_noise(picture, t, picture, hole)

@@ -24,7 +24,8 @@ from inpaint3d.radiance.rendering import render_view
 from inpaint3d.radiance.training import psnr
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.config import Config, Estimator
-from inpaint3d.stages.joint_optimization.run import load_network, run
+from inpaint3d.stages.joint_optimization.priors import load_network
+from inpaint3d.stages.joint_optimization.run import run
 
 MODULE = "inpaint3d.stages.joint_optimization"
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())

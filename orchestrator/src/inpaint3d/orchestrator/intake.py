@@ -3,34 +3,51 @@
 import shutil
 from pathlib import Path
 
-from inpaint3d.contracts.artifacts import MaskRequestArtifact, Source
+from inpaint3d.contracts.artifacts import DiffusersPipeline, MaskRequestArtifact, Source
 from inpaint3d.contracts.artifacts.masks import MaskRequest
 from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.manifest import Manifest, describe_file, describe_files, schema_id
-from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.manifest import Manifest, describe_file, schema_id
+from inpaint3d.contracts.model import Closed, Digest
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.store import Store, manifest_in
+from inpaint3d.orchestrator.foreign import kind_of, pipeline_files, pipeline_folder
 
 
 def take_capture(store: Store, path: Path) -> Digest:
-    """A folder of pictures or a data set, or a video file, byte for byte. Nothing is copied that the store has."""
+    """A folder of pictures or a data set, or a video file, byte for byte."""
     if not path.exists():
         raise BadInputError(f"{path} does not exist; give a folder of photos, a data set, or a video file")
     metadata = Source(name=path.resolve().name, kind="folder" if path.is_dir() else "file")
-    root = path if path.is_dir() else path.parent
-    entries = describe_files(path) if path.is_dir() else (describe_file(root, path),)
-    visible = [e for e in entries if not any(part.startswith(".") for part in e.path.split("/"))]
-    files = tuple(e.model_copy(update={"path": f"raw/{e.path}"}) for e in visible)
-    manifest = Manifest(schema=schema_id("source"), files=files, metadata=metadata.model_dump(mode="json"))
+    if not path.is_dir():
+        return _take_files(store, "source", metadata, path.parent, [path], "raw")
+    visible = [
+        p
+        for p in sorted(path.rglob("*"))
+        if p.is_file() and not any(part.startswith(".") for part in p.relative_to(path).parts)
+    ]
+    return _take_files(store, "source", metadata, path, visible, "raw")
+
+
+def take_pipeline(store: Store, folder: Path) -> Digest:
+    """A diffusers pipeline: what of its folder is needed to ask it."""
+    metadata = DiffusersPipeline(kind=kind_of(folder))
+    return _take_files(store, "diffusers-pipeline", metadata, folder, pipeline_files(folder), "pipeline")
+
+
+def _take_files(store: Store, name: str, metadata: Closed, root: Path, paths: list[Path], below: str) -> Digest:
+    """Files of `root`, byte for byte, `below` a folder of the artifact. Nothing is copied that the store has."""
+    entries = [describe_file(root, p) for p in paths]
+    files = tuple(e.model_copy(update={"path": f"{below}/{e.path}"}) for e in entries)
+    manifest = Manifest(schema=schema_id(name), files=files, metadata=metadata.model_dump(mode="json"))
     if store.whole(manifest.digest):
         return manifest.digest
     folder = store.private_folder()
-    for entry in visible:
-        target = folder / "raw" / entry.path
+    for entry in entries:
+        target = folder / below / entry.path
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(root / entry.path, target)
-    return store.put(folder, "source", metadata)
+    return store.put(folder, name, metadata)
 
 
 def take_mask_request(store: Store, path: Path) -> Digest:
@@ -51,10 +68,17 @@ def take_artifact(store: Store, path: Path, schema: str) -> Digest:
 def take_externals(
     store: Store, pipeline: Pipeline, capture: Path, *, mask: Path | None, prior: Path | None, corpus: Path | None
 ) -> dict[str, Digest]:
-    """Everything that a scene brings from outside; for what is not given, the pipeline's default if it has one."""
+    """Everything that a scene brings from outside; for what is not given, the pipeline's default if it has one.
+
+    prior: a diffusion-prior artifact, or a diffusers pipeline (`foreign.pipeline_folder`), which is asked beside it.
+    """
     externals: dict[str, Digest] = {"capture": take_capture(store, capture)}
     if mask is not None:
         externals["mask-request"] = take_mask_request(store, mask)
+    if prior is not None and (foreign := pipeline_folder(prior)) is not None:
+        if "diffusers-pipeline" not in pipeline.spec.spec.externals:
+            raise ConfigurationError(f"{pipeline.path} has no external diffusers-pipeline, which {prior} would be")
+        externals["diffusers-pipeline"], prior = take_pipeline(store, foreign), None
     for external, given in (("pretrained-prior", prior), ("image-corpus", corpus)):
         declared = pipeline.spec.spec.externals.get(external)
         if declared is None:

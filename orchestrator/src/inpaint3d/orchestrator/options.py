@@ -44,7 +44,13 @@ Images = Annotated[
     Path, typer.Option("--images", envvar="INPAINT3D_IMAGES", help="images.yaml, as `make images` wrote it")
 ]
 Stub = Annotated[bool, typer.Option("--stub", help="run every stage's stub: the whole DAG in seconds, no numeric work")]
-Prior = Annotated[Path | None, typer.Option(help="folder of a diffusion-prior artifact to start from")]
+Prior = Annotated[
+    Path | None,
+    typer.Option(
+        help="folder of a diffusion-prior artifact to start from, or a diffusers pipeline to ask: its folder, or its "
+        "name in the hub's cache"
+    ),
+]
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
 AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 

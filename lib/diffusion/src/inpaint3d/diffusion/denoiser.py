@@ -26,12 +26,17 @@ class Denoiser(Protocol):
         ...
 
     @property
+    def latent_shape(self) -> tuple[int, int, int]:
+        """Channels, height and width of such a picture in the space that z_t lives in."""
+        ...
+
+    @property
     def bound(self) -> float | None:
         """Clean latents lie within +-bound; None where they have no bound."""
         ...
 
     def encode(self, image: Image) -> Latent:
-        """A picture in the space that z_t lives in."""
+        """A picture in the space that z_t lives in; differentiable."""
         ...
 
     def decode(self, latent: Latent) -> Image:

@@ -1,7 +1,10 @@
 """Score distillation: which way a rendered patch should move so that the prior believes it (conformance S2 to S9).
 
 All functions return gradients with respect to the patch x in [-1, 1]; a caller multiplies by dx/dtheta by handing them
-to autograd: `patch.backward(gradient)`. Nothing flows through the prior or through its condition, on purpose.
+to autograd: `patch.backward(gradient)`. Nothing flows through the denoiser or through its condition, on purpose.
+
+A prior over an autoencoder's codes is asked about the patch's code; what it answers goes back to pixels through the
+transposed Jacobian of the encoder (`_encoded`), or as a picture through the decoder. eps: N(0, 1) of the code's shape.
 
 | function | paper | UNet evaluations, g = 1 | else |
 |---|---|---|---|
@@ -14,12 +17,14 @@ to autograd: `patch.backward(gradient)`. Nothing flows through the prior or thro
 | dataset_gradient | iterative dataset update, arXiv:2303.12789 | 0, and `denoised_target` for each update | |
 """
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask, Times
+from inpaint3d.diffusion.denoiser import Denoiser, Image, Latent, Mask, Times
 from inpaint3d.diffusion.samplers import ddim
 from inpaint3d.diffusion.schedules import alpha, per_image, sigma
 
@@ -32,11 +37,11 @@ NFSD_SPLIT = 0.2
 
 @torch.no_grad()
 def sds_gradient(
-    prior: InpaintingPrior,
+    prior: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
-    eps: Image,
+    eps: Latent,
     *,
     guidance: float = 1.0,
     noise_fill: Image | None = None,
@@ -45,21 +50,21 @@ def sds_gradient(
 
     The condition y is the rendered patch itself outside the hole, (1 - M) x.
     """
-    x = x.detach()
+    code, to_pixels = _encoded(prior, x, mask)
     a, s = _levels(t)
-    z = a * x + s * eps
+    z = a * code + s * eps
     # The denoiser's Jacobian is dropped on purpose: that is SDS.
-    eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
-    return s**2 * (eps_hat - eps) * mask
+    eps_hat = prior.predict_noise(z, t, x.detach(), mask, guidance=guidance, noise_fill=noise_fill)
+    return to_pixels(s**2 * (eps_hat - eps))
 
 
 @torch.no_grad()
 def nfsd_gradient(
-    prior: InpaintingPrior,
+    prior: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
-    eps: Image,
+    eps: Latent,
     *,
     guidance: float = 1.0,
     noise_fill: Image | None = None,
@@ -71,16 +76,17 @@ def nfsd_gradient(
     pixels smoothed, so that what it leads away from is blur.
     """
     x = x.detach()
+    code, to_pixels = _encoded(prior, x, mask)
     a, s = _levels(t)
-    z = a * x + s * eps
+    z = a * code + s * eps
     estimate = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
     negative = prior.predict_noise(z, t, _smoothed(x, mask), mask, noise_fill=noise_fill)
-    return s**2 * torch.where(per_image(t) < NFSD_SPLIT, estimate, estimate - negative) * mask
+    return to_pixels(s**2 * torch.where(per_image(t) < NFSD_SPLIT, estimate, estimate - negative))
 
 
 @torch.no_grad()
 def sdi_gradient(
-    prior: InpaintingPrior,
+    prior: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
@@ -95,19 +101,20 @@ def sdi_gradient(
     that x is on the way to. The inversion follows the plain conditional estimate.
     """
     x = x.detach()
+    code, to_pixels = _encoded(prior, x, mask)
     a, s = _levels(t)
 
     def predict(z: Tensor, level: Tensor) -> Tensor:
         return prior.predict_noise(z, level, x, mask, noise_fill=noise_fill)
 
-    z = ddim(predict, x, _between(torch.full_like(t, T_FLOOR), t, steps))
+    z = ddim(predict, code, _between(torch.full_like(t, T_FLOOR), t, steps))
     eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
-    return s**2 * (eps_hat - (z - a * x) / s) * mask
+    return to_pixels(s**2 * (eps_hat - (z - a * code) / s))
 
 
 @torch.no_grad()
 def ism_gradient(
-    prior: InpaintingPrior,
+    prior: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
@@ -122,28 +129,29 @@ def ism_gradient(
     z_s and z_t lie on one path of DDIM inversion under the null condition, in `steps` steps to s and one to t.
     """
     x = x.detach()
+    code, to_pixels = _encoded(prior, x, mask)
     _, weight = _levels(t)
     before = (t - interval).clamp(min=T_FLOOR)
 
     def null(z: Tensor, level: Tensor) -> Tensor:
         return prior.predict_noise(z, level, x, mask, guidance=0.0, noise_fill=noise_fill)
 
-    z_s = ddim(null, x, _between(torch.full_like(t, T_FLOOR), before, steps))
+    z_s = ddim(null, code, _between(torch.full_like(t, T_FLOOR), before, steps))
     eps_s = null(z_s, before)
     (a_s, s_s), (a, s) = _levels(before), _levels(t)
     z_t = a * (z_s - s_s * eps_s) / a_s + s * eps_s
     eps_hat = prior.predict_noise(z_t, t, x, mask, guidance=guidance, noise_fill=noise_fill)
-    return weight**2 * (eps_hat - eps_s) * mask
+    return to_pixels(weight**2 * (eps_hat - eps_s))
 
 
 @torch.no_grad()
 def vsd_gradient(
-    prior: InpaintingPrior,
-    copy: InpaintingPrior,
+    prior: Denoiser,
+    copy: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
-    eps: Image,
+    eps: Latent,
     *,
     guidance: float = 1.0,
     noise_fill: Image | None = None,
@@ -154,19 +162,20 @@ def vsd_gradient(
     this is SDS; as long as it is the prior itself, guidance 1 gives 0.
     """
     x = x.detach()
+    code, to_pixels = _encoded(prior, x, mask)
     a, s = _levels(t)
-    z = a * x + s * eps
+    z = a * code + s * eps
     eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
-    return s**2 * (eps_hat - copy.predict_noise(z, t, x, mask, noise_fill=noise_fill)) * mask
+    return to_pixels(s**2 * (eps_hat - copy.predict_noise(z, t, x, mask, noise_fill=noise_fill)))
 
 
 @torch.no_grad()
 def denoised_target_gradient(
-    prior: InpaintingPrior,
+    prior: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
-    eps: Image,
+    eps: Latent,
     *,
     guidance: float = 1.0,
     noise_fill: Image | None = None,
@@ -194,11 +203,11 @@ def dataset_gradient(x: Image, mask: Mask, target: Image) -> Image:
 
 @torch.no_grad()
 def denoised_target(
-    prior: InpaintingPrior,
+    prior: Denoiser,
     x: Image,
     mask: Mask,
     t: Times,
-    eps: Image,
+    eps: Latent,
     *,
     guidance: float = 1.0,
     noise_fill: Image | None = None,
@@ -211,8 +220,27 @@ def denoised_target(
     def predict(z: Tensor, level: Tensor) -> Tensor:
         return prior.predict_noise(z, level, x, mask, guidance=guidance, noise_fill=noise_fill)
 
-    target = ddim(predict, a * x + s * eps, _between(t, torch.zeros_like(t), steps), clip=1.0)
-    return torch.where(mask > 0, target.clamp(-1, 1), x)
+    z = a * prior.encode(x) + s * eps
+    clean = ddim(predict, z, _between(t, torch.zeros_like(t), steps), clip=prior.bound)
+    return torch.where(mask > 0, prior.decode(clean).clamp(-1, 1), x)
+
+
+def _encoded(prior: Denoiser, x: Image, mask: Mask) -> tuple[Latent, Callable[[Latent], Image]]:
+    """The patch's code, and what turns a gradient with respect to it into that of the hole's pixels.
+
+    The gradient is weighed as of a mean over codes, not over pixels: where an encoder averages, its pixels are pushed
+    as they would be without one. Codes that the hole does not touch push nothing.
+    """
+    with torch.enable_grad():
+        x = x.detach().requires_grad_()
+        code = prior.encode(x)
+
+    def to_pixels(gradient: Latent) -> Image:
+        touched = F.adaptive_max_pool2d(mask, gradient.shape[-2:])
+        (pulled,) = torch.autograd.grad(code, x, gradient * touched)
+        return pulled * (mask.numel() / touched.numel()) * mask
+
+    return code.detach(), to_pixels
 
 
 def _levels(t: Times) -> tuple[Tensor, Tensor]:

@@ -53,11 +53,19 @@ class PipelinePrior:
         self.sees_mask = inputs > self.channels
         self.texts = _texts(pipeline, prompt)
         self.stride = 1 if self.vae is None else 2 ** (len(self.vae.config["block_out_channels"]) - 1)
-        self.device = torch.device("cpu")
+        self._shown: dict[int, tuple[Image, Latent]] = {}
+        for part in (self.unet, self.vae):
+            if part is not None:
+                part.eval().requires_grad_(False)
 
     @property
     def size(self) -> int:
         return int(self.unet.config["sample_size"]) * self.stride
+
+    @property
+    def latent_shape(self) -> tuple[int, int, int]:
+        side = self.size // self.stride
+        return (self.channels, side, side)
 
     @property
     def bound(self) -> float | None:
@@ -65,7 +73,6 @@ class PipelinePrior:
 
     def to(self, device: str) -> "PipelinePrior":
         """Move it to a device, in place."""
-        self.device = torch.device(device)
         self.unet.to(device)
         self.log_snr = self.log_snr.to(device)
         if self.vae is not None:
@@ -74,12 +81,13 @@ class PipelinePrior:
             self.texts = self.texts.to(device)
         return self
 
-    @torch.no_grad()
     def encode(self, image: Image) -> Latent:
         """The autoencoder's code (its mean), in the scale that the UNet was trained on; or the image itself."""
         if self.vae is None:
             return image
-        return self.vae.encode(image).latent_dist.mode() * self.vae.config["scaling_factor"]
+        coded = self.vae.encode(image)
+        code = coded.latent_dist.mode() if "latent_dist" in coded else coded.latents
+        return code * self.vae.config["scaling_factor"]
 
     @torch.no_grad()
     def decode(self, latent: Latent) -> Image:
@@ -106,7 +114,7 @@ class PipelinePrior:
 
     @torch.no_grad()
     def _noise(self, z: Latent, t: Times, image: Image, mask: Mask, text: int) -> Latent:
-        shown = self.encode(torch.where(mask > 0, 0.0, image))
+        shown = self._known_code(torch.where(mask > 0, 0.0, image), text)
         # As these models are trained: a cell is in the hole where its first pixel is.
         holes = F.interpolate(mask, size=z.shape[-2:])
         seen = torch.cat([z, holes, shown], dim=1) if self.sees_mask else z
@@ -118,6 +126,15 @@ class PipelinePrior:
         # A cell that the hole touches is the hole's; what the others hold is known, and so is their noise.
         touched = F.adaptive_max_pool2d(mask, z.shape[-2:])
         return torch.where(touched > 0, noise, (z - per_image(alpha(t)) * shown) / per_image(sigma(t)))
+
+    def _known_code(self, known: Image, text: int) -> Latent:
+        """The code of what is shown, kept: a sampler asks about one picture at every step, and encoding costs as much
+        as the UNet.
+        """
+        before = self._shown.get(text)
+        if before is None or before[0].device != known.device or not torch.equal(before[0], known):
+            before = self._shown[text] = (known, self.encode(known))
+        return before[1]
 
     def timestep(self, t: Times) -> Float[Tensor, "b"]:
         """The place in the model's own table of noise with the log SNR of t, between two rows; at most its ends."""

@@ -55,6 +55,10 @@ class InpaintingPrior(nn.Module):
     def size(self) -> int:
         return self.spec.size
 
+    @property
+    def latent_shape(self) -> tuple[int, int, int]:
+        return (3, self.size, self.size)
+
     def encode(self, image: Image) -> Image:
         """The image itself: this prior denoises pixels."""
         return image

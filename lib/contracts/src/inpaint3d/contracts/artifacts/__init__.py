@@ -5,7 +5,7 @@ The metadata names the files that hold the bulk; file layouts are described in e
 
 from inpaint3d.contracts.artifacts.capture import Capture, CapturedFrame, Exif, KnownCamera, Truth
 from inpaint3d.contracts.artifacts.effects import Effect, EffectPlan
-from inpaint3d.contracts.artifacts.external import ImageCorpus, MaskRequestArtifact, Source
+from inpaint3d.contracts.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
 from inpaint3d.contracts.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
 from inpaint3d.contracts.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
 from inpaint3d.contracts.artifacts.posed import LensModel, PosedCapture, PosedFrame, PosedTruth, Registration
@@ -17,6 +17,7 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "source": ("1.0", Source),
     "mask-request": ("1.0", MaskRequestArtifact),
     "image-corpus": ("1.0", ImageCorpus),
+    "diffusers-pipeline": ("1.0", DiffusersPipeline),
     "capture": ("1.0", Capture),
     "truth": ("1.0", Truth),
     "posed-capture": ("1.0", PosedCapture),
@@ -34,6 +35,7 @@ __all__ = [
     "SCHEMAS",
     "Capture",
     "CapturedFrame",
+    "DiffusersPipeline",
     "DiffusionPrior",
     "Effect",
     "EffectPlan",

@@ -31,3 +31,9 @@ class ImageCorpus(Closed):
         split: Literal["train", "test"]
 
     pictures: tuple[Picture, ...]
+
+
+class DiffusersPipeline(Closed):
+    """Somebody else's inpainting model: a pipeline as the diffusers library saves it, under `pipeline/`."""
+
+    kind: str = Field(description="the pipeline's class, as its model_index.json names it")

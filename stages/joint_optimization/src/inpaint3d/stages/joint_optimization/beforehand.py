@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.samplers import inpaint
 from inpaint3d.perception.lpips import enlarged, load
 from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless, Windows
@@ -41,15 +41,21 @@ def fixed_windows(views: Sequence[SceneView], *, size: int, span: float, least_k
 
 
 def sampled_views(
-    views: Sequence[SceneView], windows: Windows, prior: InpaintingPrior, *, steps: int, guidance: float, seed: int
+    views: Sequence[SceneView],
+    windows: Windows,
+    prior: Denoiser,
+    *,
+    steps: int,
+    guidance: float,
+    seed: int,
+    device: str = "cpu",
 ) -> list[Tensor | None]:
     """Each view's window as the prior fills it, [size, size, 3] in [0, 1], by ancestral sampling.
 
     Every view starts from the same noise, is shown the same noise fill, and draws the same noise on the way: as far as
-    independent samples can agree, these do (the paper's appendix, 'Inpaint-then-NeRF').
+    independent samples can agree, these do (the paper's appendix, 'Inpaint-then-NeRF'). device: the prior's.
     """
     pictures: list[Tensor | None] = []
-    device = next(prior.parameters()).device
     for view, window in zip(views, windows, strict=True):
         if window is None:
             pictures.append(None)

@@ -81,6 +81,7 @@ class Config(Closed):
     weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
     weight_decay_to: Share = Field(default=1.0, description="cosine decay to this share of the peak (S13)")
     guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)")
+    prompt: str = Field(default="", description="what a diffusers pipeline that takes text is told of the picture")
     denoise_steps: Count = Field(
         default=4, description="DDIM steps of denoised-target and dataset-update, inversion steps of sdi and ism"
     )

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.distillation import (
     dataset_gradient,
     denoised_target,
@@ -22,7 +23,6 @@ from inpaint3d.diffusion.distillation import (
     vsd_gradient,
 )
 from inpaint3d.diffusion.low_rank import LowRankCopy
-from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.stages.joint_optimization.patches import Window
 
 Patch = Float[Tensor, "h w 3"]
@@ -68,20 +68,30 @@ class Guide(Protocol):
 
 
 class Asked(NamedTuple):
-    """A patch as a prior is asked about it: x in [-1, 1], batch of one; t, noise and fill are fresh (S3)."""
+    """A patch as a prior is asked about it: x in [-1, 1], batch of one; t, noise and fill are fresh (S3).
+
+    eps is of the shape of the patch's code, which for a prior over pixels is the patch's.
+    """
 
     x: Float[Tensor, "1 3 h w"]
     mask: Float[Tensor, "1 1 h w"]
     t: Float[Tensor, "1"]
-    eps: Float[Tensor, "1 3 h w"]
+    eps: Float[Tensor, "1 c y x"]
     noise_fill: Float[Tensor, "1 3 h w"]
 
     @classmethod
-    def about(cls, patch: Patch, hole: Hole, timesteps: tuple[float, float], generator: torch.Generator) -> "Asked":
+    def about(
+        cls,
+        patch: Patch,
+        hole: Hole,
+        timesteps: tuple[float, float],
+        generator: torch.Generator,
+        latent_shape: tuple[int, int, int],
+    ) -> "Asked":
         low, high = timesteps
         t = low + (high - low) * torch.rand((), generator=generator)
         x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
-        eps, noise_fill = (torch.randn(x.shape, generator=generator).to(x) for _ in range(2))
+        eps, noise_fill = (torch.randn(1, *shape, generator=generator).to(x) for shape in (latent_shape, x.shape[1:]))
         return cls(x, hole[None, None].to(x), t.reshape(1).to(x), eps, noise_fill)
 
     def answered(self, gradient: Float[Tensor, "1 3 h w"]) -> tuple[Patch, float]:
@@ -103,7 +113,7 @@ class Stateless:
 class PriorGuide:
     """A prior with the estimator that turns its opinion into a gradient. copy: vsd's, which learns the renders."""
 
-    prior: InpaintingPrior
+    prior: Denoiser
     estimator: PriorEstimator
     guidance: float
     steps: int
@@ -113,7 +123,7 @@ class PriorGuide:
 
     @property
     def size(self) -> int:
-        return self.prior.spec.size
+        return self.prior.size
 
     def gradient(
         self,
@@ -123,7 +133,7 @@ class PriorGuide:
         timesteps: tuple[float, float],
         generator: torch.Generator,
     ) -> tuple[Patch, float]:
-        asked = Asked.about(patch, hole, timesteps, generator)
+        asked = Asked.about(patch, hole, timesteps, generator, self.prior.latent_shape)
         return asked.answered(self._estimate(asked, timesteps, generator))
 
     def _estimate(self, asked: Asked, timesteps: tuple[float, float], generator: torch.Generator) -> Tensor:
@@ -163,10 +173,8 @@ class DatasetGuide:
 
     span = None
 
-    def __init__(
-        self, prior: InpaintingPrior, windows: Windows, *, guidance: float, steps: int, update_every: int
-    ) -> None:
-        self.prior, self.windows, self.size = prior, windows, prior.spec.size
+    def __init__(self, prior: Denoiser, windows: Windows, *, guidance: float, steps: int, update_every: int) -> None:
+        self.prior, self.windows, self.size = prior, windows, prior.size
         self._guidance, self._steps, self._every = guidance, steps, update_every
         self._targets = torch.zeros(len(windows), 3, self.size, self.size)
         self._seen = torch.zeros(len(windows), dtype=torch.int64)
@@ -174,7 +182,7 @@ class DatasetGuide:
     def gradient(
         self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
     ) -> tuple[Patch, float]:
-        asked = Asked.about(patch, hole, timesteps, generator)
+        asked = Asked.about(patch, hole, timesteps, generator, self.prior.latent_shape)
         x, mask, t, eps, fill = asked
         if self._seen[window.view] % self._every == 0:
             made = denoised_target(

@@ -6,11 +6,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.artifacts import EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.diffusion.io import load_prior, open_prior
 from inpaint3d.diffusion.low_rank import LowRankCopy
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.radiance import backends
@@ -27,13 +26,14 @@ from inpaint3d.stages.joint_optimization.beforehand import (
     fixed_windows,
     sampled_views,
 )
-from inpaint3d.stages.joint_optimization.config import WITHOUT_GUIDE, WITHOUT_PRIOR, Config, label_of
+from inpaint3d.stages.joint_optimization.config import WITHOUT_GUIDE, Config, label_of
 from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.decisions import decide
 from inpaint3d.stages.joint_optimization.features import FeatureGuide
 from inpaint3d.stages.joint_optimization.guidance import DatasetGuide, Guide, PriorGuide, evaluations
 from inpaint3d.stages.joint_optimization.loop import Problem, optimise
 from inpaint3d.stages.joint_optimization.parallel import Ranks, together
+from inpaint3d.stages.joint_optimization.priors import load_denoiser
 from inpaint3d.stages.joint_optimization.reference import completed
 from inpaint3d.stages.joint_optimization.scene import SceneView, distillable, load_scene
 from inpaint3d.stages.joint_optimization.shrink import shrunk
@@ -194,36 +194,22 @@ def load_guide(config: Config, inputs: Inputs, to_fill: Views, seed: int, device
         )
     if config.estimator == "reference":
         return ReferenceGuide([view.image for view in to_fill], config.feature_size)
-    prior = load_network(config, inputs, device).to(device)
+    prior = load_denoiser(config, inputs, device)
     if config.estimator in ("inpaint-then-nerf", "dataset-update"):
-        size, g = prior.spec.size, config.guidance
+        size, g = prior.size, config.guidance
         windows = fixed_windows(to_fill, size=size, span=config.span_first, least_known=config.least_known)
         if config.estimator == "dataset-update":
             return DatasetGuide(
                 prior, windows, guidance=g, steps=config.denoise_steps, update_every=config.update_every
             )
-        pictures = sampled_views(to_fill, windows, prior, steps=config.sample_steps, guidance=g, seed=seed)
+        pictures = sampled_views(
+            to_fill, windows, prior, steps=config.sample_steps, guidance=g, seed=seed, device=device
+        )
         return PictureGuide(pictures, windows, size)
     copy = None
-    if config.estimator == "vsd":
+    if config.estimator == "vsd" and isinstance(prior, InpaintingPrior):
         copy = LowRankCopy(prior, rank=config.copy_rank, rate=config.copy_rate, seed=seed)
     return PriorGuide(prior, config.estimator, config.guidance, config.denoise_steps, copy)
-
-
-def load_network(config: Config, inputs: Inputs, device: str) -> InpaintingPrior:
-    """The prior that is wired, in the runtime that it names; ConfigurationError where none is wired.
-
-    A copy that learns (vsd) and a GPU take torch.
-    """
-    prior = inputs.optional("diffusion-prior", DiffusionPrior)
-    if prior is None:
-        raise ConfigurationError(
-            f"estimator {config.estimator!r} needs an artifact at the input diffusion-prior; "
-            f"wire one, or set estimator to one of {', '.join(WITHOUT_PRIOR)}"
-        )
-    if device == "cpu" and config.estimator != "vsd":
-        return open_prior(prior, threads=torch.get_num_threads())
-    return load_prior(prior.path(prior.metadata.weights), prior.metadata.spec)
 
 
 def cost_in_words(config: Config) -> str:
