@@ -5,12 +5,13 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.scene.colour import srgb_from_linear
+from inpaint3d.scene.colour import from_bytes, srgb_from_linear
 from inpaint3d.scene.image_io import (
     read_exr,
     read_header,
     read_image,
     read_mask,
+    read_stored,
     write_exr,
     write_mask,
     write_png,
@@ -57,6 +58,29 @@ def test_linear_float_files_are_encoded(tmp_path, suffix):
 def test_light_beyond_one_is_clipped(tmp_path):
     path = write(tmp_path / "a.exr", 5 * np.ones((2, 2, 3)), "float")
     np.testing.assert_allclose(read_image(path), 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize(("suffix", "orientation"), [(".png", 1), (".jpg", 1), (".jpg", 6)])
+def test_eight_bits_are_what_openimageio_makes_of_them(tmp_path, suffix, orientation, channels):
+    if suffix == ".jpg" and channels == 4:
+        channels = 3  # it has no alpha
+    pixels = np.random.default_rng(1).random((16, 20, channels)).astype(np.float32)
+    path = write(tmp_path / f"a{suffix}", pixels, "uint8", Orientation=orientation)
+    stored, image = read_stored(path), read_image(path)
+    assert stored.dtype == np.uint8
+    np.testing.assert_array_equal(image, from_bytes(stored))
+    hint = oiio.ImageSpec()
+    hint.attribute("oiio:UnassociatedAlpha", 1)
+    theirs = oiio.ImageBufAlgo.reorient(oiio.ImageBuf(str(path), 0, 0, hint)).get_pixels(oiio.FLOAT)
+    np.testing.assert_array_equal(image, np.broadcast_to(theirs[..., :3], image.shape))
+
+
+@pytest.mark.parametrize(("suffix", "kind"), [(".tif", "uint16"), (".exr", "half")])
+def test_more_than_eight_bits_are_not_cut_down(tmp_path, suffix, kind):
+    path = write(tmp_path / f"a{suffix}", IMAGE, kind)
+    assert read_stored(path).dtype == np.float32
+    np.testing.assert_array_equal(read_stored(path), read_image(path))
 
 
 @pytest.mark.parametrize("orientation", [3, 6, 8])

@@ -1,8 +1,9 @@
 import cv2
 import numpy as np
 import pytest
+import torch
 
-from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.image_io import read_image, write_png
 from inpaint3d.stages.diffusion_training.config import MaskMix
 from inpaint3d.stages.diffusion_training.pictures import Cropper, KnownPicture, StoredPicture, mask_shapes
 
@@ -88,6 +89,19 @@ def test_a_stored_picture_is_read_when_it_is_drawn(tmp_path) -> None:
     for drawn in batch.image.permute(0, 2, 3, 1).numpy():
         assert any(np.allclose(drawn, either, atol=1e-6) for either in (expected, expected[:, ::-1]))
     assert batch.teach.min() == 1
+
+
+def test_cutting_before_converting_gives_the_same_bits(tmp_path) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (50, 70, 3), np.uint8)
+    stored = StoredPicture("a", tmp_path / "a.png")
+    write_png(stored.path, image)
+    nothing = np.zeros(image.shape[:2], bool)
+    whole = KnownPicture("a", read_image(stored.path) * 2 - 1, nothing, nothing)
+    cropper = Cropper(16, (0.3, 1.0), MaskMix(own=0, blobs=0.6), [])
+    one, other = (cropper.batch([picture] * 8, np.random.default_rng(1)) for picture in (stored, whole))
+    assert stored.read().colour.dtype == np.uint8
+    assert torch.equal(one.image, other.image)
+    assert torch.equal(one.hole, other.hole)
 
 
 def test_the_captures_own_shapes_appear_elsewhere() -> None:

@@ -22,6 +22,11 @@ def luma(encoded: ArrayLike) -> NDArray[np.floating]:
     return x @ np.array([0.2126, 0.7152, 0.0722], x.dtype)
 
 
+def from_bytes(codes: NDArray[np.generic]) -> NDArray[np.float32]:
+    """0..255 -> [0, 1], as OpenImageIO converts them."""
+    return codes.astype(np.float32) * np.float32(1 / 255)
+
+
 def to_bytes(image: ArrayLike) -> NDArray[np.uint8]:
     """[0, 1] -> 0..255, rounded to nearest; values outside are clipped."""
     return np.rint(np.clip(np.asarray(image, np.float32), 0, 1) * 255).astype(np.uint8)

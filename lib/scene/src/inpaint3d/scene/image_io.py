@@ -5,13 +5,14 @@ In memory: float32 [h, w, 3] in [0, 1], sRGB-encoded, upright. Masks: bool [h, w
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.contracts.errors import BadInputError, StorageError
-from inpaint3d.scene.colour import srgb_from_linear, to_bytes
+from inpaint3d.scene.colour import from_bytes, srgb_from_linear, to_bytes
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -86,10 +87,22 @@ def read_image(path: Path) -> Image:
     Float files hold linear light unless they say otherwise, and are encoded; grey is repeated; alpha is dropped.
     BadInputError for a file that is damaged, cut short or not finite.
     """
+    stored = read_stored(path)
+    return from_bytes(stored) if stored.dtype == np.uint8 else stored.astype(np.float32, copy=False)
+
+
+def read_stored(path: Path) -> Image | NDArray[np.uint8]:
+    """As `read_image`, but uint8 codes in [0, 255] where the file has 8 bits: for who cuts before converting.
+
+    `colour.from_bytes` makes of the codes what `read_image` gives, to the bit.
+    """
     buffer = _open(path)
-    linear = _is_linear(buffer.spec())  # before reading, which makes every buffer float
-    pixels = _pixels(buffer, path)
+    linear = _is_linear(buffer.spec())  # before reading, which changes the buffer's format
+    eight_bits = buffer.spec().format == oiio.TypeUInt8 and not linear
+    pixels = _pixels(buffer, path, "uint8" if eight_bits else "float")
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)
+    if eight_bits:
+        return np.ascontiguousarray(colour)
     if not np.isfinite(colour).all():
         count = int((~np.isfinite(colour)).any(-1).sum())
         raise BadInputError(f"{path} has {count} pixels that are not finite; export it again without them")
@@ -162,14 +175,14 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
-def _pixels(buffer: oiio.ImageBuf, path: Path) -> NDArray[np.float32]:
-    """All channels, float32 [h, w, c], upright; BadInputError where the file is damaged."""
+def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8"] = "float") -> NDArray[Any]:
+    """All channels [h, w, c], float32 or uint8, upright; BadInputError where the file is damaged."""
     if buffer.spec().get_string_attribute("oiio:SourceFileFormat", "") == "jpeg" and _cut_short(path):
         raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
-    if not buffer.read(force=True, convert="float") or buffer.has_error:
+    if not buffer.read(force=True, convert=kind) or buffer.has_error:
         raise BadInputError(f"{path} is damaged ({_reason(buffer)}); copy it again or remove it")
-    upright = oiio.ImageBufAlgo.reorient(buffer)
-    pixels = upright.get_pixels(oiio.FLOAT)
+    upright = buffer if buffer.orientation == 1 else oiio.ImageBufAlgo.reorient(buffer)
+    pixels = upright.get_pixels(kind)
     if upright.has_error or pixels is None:
         raise BadInputError(f"{path} is damaged ({_reason(upright)}); copy it again or remove it")
     return pixels.reshape(upright.spec().height, upright.spec().width, -1)

@@ -45,4 +45,4 @@ def _square_round_hole(picture: KnownPicture, size: int) -> tuple[np.ndarray, np
     x = int(np.clip(columns.mean() - side / 2, 0, width - side))
     window = np.s_[y : y + side, x : x + side]
     unknown = cv2.resize(picture.unknown[window].astype(np.float32), (size, size), interpolation=cv2.INTER_AREA) > 0
-    return cv2.resize(picture.colour[window], (size, size), interpolation=cv2.INTER_AREA), unknown
+    return cv2.resize(picture.cut(window), (size, size), interpolation=cv2.INTER_AREA), unknown

@@ -20,7 +20,8 @@ from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.masks import random_masks
 from inpaint3d.diffusion.training import Batch
 from inpaint3d.scene.capture_io import load_posed
-from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask
+from inpaint3d.scene.colour import from_bytes
+from inpaint3d.scene.image_io import Image, Mask, read_mask, read_stored
 from inpaint3d.stages.diffusion_training.config import MaskMix
 
 HELD_OUT_EVERY = 8
@@ -31,12 +32,19 @@ MOST_UNKNOWN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class KnownPicture:
-    """colour float32 [h, w, 3] in [-1, 1], 0 where unknown; unknown bool [h, w]; hole: the mask alone, bool [h, w]."""
+    """colour float32 [h, w, 3] in [-1, 1], 0 where unknown, or uint8 codes where all is known; unknown bool [h, w];
+    hole: the mask alone, bool [h, w].
+    """
 
     name: str
-    colour: Image
+    colour: Image | NDArray[np.uint8]
     unknown: Mask
     hole: Mask
+
+    def cut(self, window: tuple[slice, slice]) -> Image:
+        """The colours of a window, float32 in [-1, 1]."""
+        part = self.colour[window]
+        return from_bytes(part) * 2 - 1 if part.dtype == np.uint8 else part.astype(np.float32, copy=False)
 
 
 def known_pictures(
@@ -74,9 +82,10 @@ class StoredPicture:
     path: Path
 
     def read(self) -> KnownPicture:
-        image = read_image(self.path)
-        nothing = np.zeros(image.shape[:2], bool)
-        return _known(self.name, image, nothing, nothing)
+        stored = read_stored(self.path)
+        nothing = np.zeros(stored.shape[:2], bool)
+        # Codes stay codes: most of a large picture is not in the crop, and converting it costs as much as decoding it.
+        return KnownPicture(self.name, stored if stored.dtype == np.uint8 else stored * 2 - 1, nothing, nothing)
 
 
 Picture = KnownPicture | StoredPicture
@@ -147,7 +156,7 @@ class Cropper:
         window = np.s_[y : y + side, x : x + side]
         flip = np.s_[:, ::-1] if rng.random() < 0.5 else np.s_[:]
         unknown = self._resized(picture.unknown[window].astype(np.float32)) > 0
-        colour = self._resized(picture.colour[window])
+        colour = self._resized(picture.cut(window))
         return np.ascontiguousarray(colour[flip]), np.ascontiguousarray(unknown[flip])
 
     def _resized(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
