@@ -8,11 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WIDTH, HEIGHT = 480, 360
-FOCAL_PX, K1 = 402.0, -0.072
 NOMINAL_EXPOSURE_S, NOMINAL_ISO, F_NUMBER = 1 / 60, 160, 1.8
 SHOT_NOISE, READ_NOISE = 1.6e-4, 1.5e-3  # variance per unit of signal, standard deviation; at nominal ISO
 LIGHT_TO_SENSOR = 1.15  # scene radiance times this is 1 at the sensor's saturation, at nominal exposure
+
+
+@dataclass(frozen=True)
+class Lens:
+    """COLMAP's SIMPLE_RADIAL with the principal point in the middle; pixels."""
+
+    width: int
+    height: int
+    focal_px: float
+    k1: float
+
+
+PHONE = Lens(480, 360, 402.0, -0.072)
 
 
 @dataclass(frozen=True)
@@ -65,18 +76,18 @@ def shots(seed: int, frames: int, truths: int, focus: np.ndarray) -> tuple[list[
     return taken, shown
 
 
-def undistort(xy: np.ndarray) -> np.ndarray:
+def undistort(xy: np.ndarray, k1: float) -> np.ndarray:
     """Undo the lens by fixed-point iteration: [..., 2] in units of the focal length, distorted -> pinhole."""
     pinhole = xy.copy()
     for _ in range(20):
-        pinhole = xy / (1 + K1 * (pinhole**2).sum(-1, keepdims=True))
+        pinhole = xy / (1 + k1 * (pinhole**2).sum(-1, keepdims=True))
     return pinhole
 
 
-def pixel_rays(shot: Shot, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pixel_rays(shot: Shot, offsets: np.ndarray, lens: Lens = PHONE) -> tuple[np.ndarray, np.ndarray]:
     """World rays through each pixel's corner + offsets [h, w, s, 2]: origin [3], unit directions [h, w, s, 3]."""
-    corner = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), -1)[:, :, None]
-    plane = undistort((corner + offsets - [WIDTH / 2, HEIGHT / 2]) / FOCAL_PX)
+    corner = np.stack(np.meshgrid(np.arange(lens.width), np.arange(lens.height)), -1)[:, :, None]
+    plane = undistort((corner + offsets - [lens.width / 2, lens.height / 2]) / lens.focal_px, lens.k1)
     camera = np.concatenate([plane, np.ones_like(plane[..., :1])], -1)
     directions = camera @ shot.world_from_cam[:, :3].T
     return shot.world_from_cam[:, 3], directions / np.linalg.norm(directions, axis=-1, keepdims=True)

@@ -18,12 +18,10 @@ import OpenImageIO as oiio  # noqa: N813 - its own documentation's name
 from denoise import denoise
 from phone import (
     F_NUMBER,
-    FOCAL_PX,
-    HEIGHT,
-    K1,
     NOMINAL_EXPOSURE_S,
     NOMINAL_ISO,
-    WIDTH,
+    PHONE,
+    Lens,
     Shot,
     develop,
     exif,
@@ -36,14 +34,14 @@ STRATA = 4  # samples of one pass: STRATA^2 in a jittered grid over the pixel
 DEPTH_EVERY = 10
 
 
-def jitter(rng: np.random.Generator) -> np.ndarray:
+def jitter(rng: np.random.Generator, lens: Lens) -> np.ndarray:
     """Sample places within each pixel [h, w, STRATA^2, 2] in [0, 1), one in each cell of a grid."""
     cell = np.stack(np.meshgrid(np.arange(STRATA), np.arange(STRATA)), -1).reshape(-1, 2)
-    return (cell + rng.random((HEIGHT, WIDTH, STRATA**2, 2))) / STRATA
+    return (cell + rng.random((lens.height, lens.width, STRATA**2, 2))) / STRATA
 
 
-def rays(shot: Shot, offsets: np.ndarray) -> mi.RayDifferential3f:
-    origin, directions = pixel_rays(shot, offsets)
+def rays(shot: Shot, offsets: np.ndarray, lens: Lens = PHONE) -> mi.RayDifferential3f:
+    origin, directions = pixel_rays(shot, offsets, lens)
     return mi.RayDifferential3f(
         mi.Point3f(*map(float, origin)), mi.Vector3f(directions.reshape(-1, 3).T.astype(np.float32))
     )
@@ -56,23 +54,24 @@ def first_surface(scene: mi.Scene, ray: mi.RayDifferential3f) -> tuple[np.ndarra
     return np.array(colour).T, np.array(hit.n).T, np.array(hit.t)
 
 
-def path_trace(scene: mi.Scene, shot: Shot, spp: int, seed: int) -> np.ndarray:
+def path_trace(scene: mi.Scene, shot: Shot, spp: int, seed: int, lens: Lens = PHONE) -> np.ndarray:
     """Denoised linear radiance [h, w, 3] as float16."""
+    height, width = lens.height, lens.width
     rng = np.random.default_rng(seed)
     integrator = mi.load_dict({"type": "path", "max_depth": 5, "rr_depth": 4})
     sampler = mi.load_dict({"type": "independent"})
     batches, features = [], None
     for index in range(max(spp // STRATA**2, 1)):
-        ray = rays(shot, jitter(rng))
-        sampler.seed(seed * 1000 + index, HEIGHT * WIDTH * STRATA**2)
+        ray = rays(shot, jitter(rng, lens), lens)
+        sampler.seed(seed * 1000 + index, height * width * STRATA**2)
         colour, _, _ = integrator.sample(scene, sampler, ray)
         light = np.array(colour).T
         # Meshes turned on a lathe have no normal at their poles: such a sample carries no light.
         light = np.where(np.isfinite(light).all(-1, keepdims=True), light, 0.0)
         # fireflies: one sample may not outshine the lamps that it comes from
-        batches.append(np.minimum(light, 6.0).reshape(HEIGHT, WIDTH, -1, 3))
+        batches.append(np.minimum(light, 6.0).reshape(height, width, -1, 3))
         if features is None:
-            features = [part.reshape(HEIGHT, WIDTH, STRATA**2, -1).mean(2) for part in first_surface(scene, ray)]
+            features = [part.reshape(height, width, STRATA**2, -1).mean(2) for part in first_surface(scene, ray)]
     samples = np.concatenate(batches, axis=2)
     luminance = samples.mean(-1)
     albedo, normal, depth = features
@@ -82,15 +81,16 @@ def path_trace(scene: mi.Scene, shot: Shot, spp: int, seed: int) -> np.ndarray:
 
 def geometry(scenes: dict[str, mi.Scene], shot: Shot) -> tuple[np.ndarray, np.ndarray]:
     """The object's mask (most of the pixel covered), and depth along the axis at pixel centres, metres; [h, w]."""
+    height, width = PHONE.height, PHONE.width
     grid = (np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(-1, 2) + 0.5) / 4
-    ray = rays(shot, np.broadcast_to(grid, (HEIGHT, WIDTH, 16, 2)))
+    ray = rays(shot, np.broadcast_to(grid, (height, width, 16, 2)))
     everything, thing = (np.array(scenes[name].ray_intersect_preliminary(ray).t) for name in ("with", "object"))
     visible = np.isfinite(thing) & (thing <= everything + 1e-4)
-    centre = np.full((HEIGHT, WIDTH, 1, 2), 0.5)
+    centre = np.full((height, width, 1, 2), 0.5)
     distance = np.array(scenes["with"].ray_intersect_preliminary(rays(shot, centre)).t)
     _, directions = pixel_rays(shot, centre)
     along = (directions @ shot.world_from_cam[:, 2])[..., 0]
-    return visible.reshape(HEIGHT, WIDTH, 16).mean(-1) > 0.5, distance.reshape(HEIGHT, WIDTH) * along
+    return visible.reshape(height, width, 16).mean(-1) > 0.5, distance.reshape(height, width) * along
 
 
 def write_picture(path: Path, pixels: np.ndarray, attributes: dict | None = None) -> None:
@@ -135,10 +135,10 @@ def write_cameras(path: Path, taken: list[Shot], shown: list[Shot], seed: int) -
         "about": "OpenCV cameras, metres, z up; pixel centres at +0.5; "
         "SIMPLE_RADIAL as COLMAP defines it: f, cx, cy, k",
         "seed": seed,
-        "width": WIDTH,
-        "height": HEIGHT,
+        "width": PHONE.width,
+        "height": PHONE.height,
         "model": "SIMPLE_RADIAL",
-        "params": [FOCAL_PX, WIDTH / 2, HEIGHT / 2, K1],
+        "params": [PHONE.focal_px, PHONE.width / 2, PHONE.height / 2, PHONE.k1],
         "nominal": {
             "exposure_s": str(Fraction(NOMINAL_EXPOSURE_S).limit_denominator(1000)),
             "iso": NOMINAL_ISO,

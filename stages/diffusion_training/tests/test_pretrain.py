@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from inpaint3d.contracts.artifacts import DiffusionPrior
+from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus
 from inpaint3d.contracts.documents import load_yaml
 from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
 from inpaint3d.contracts.manifest import MANIFEST, Manifest
@@ -39,7 +39,7 @@ def curve(folder: Path) -> list[list[float]]:
 
 @pytest.mark.slow
 def test_torchrun_learns_what_one_process_does(corpus: Path, tmp_path: Path) -> None:
-    pretrain(corpus, tmp_path / "one", Config.model_validate(TINY), seed=0)
+    pretrain([corpus], tmp_path / "one", Config.model_validate(TINY), seed=0)
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(TINY))
     torchrun = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     module = ["-m", "inpaint3d.stages.diffusion_training.pretrain", str(corpus), str(tmp_path / "two")]
@@ -51,7 +51,7 @@ def test_torchrun_learns_what_one_process_does(corpus: Path, tmp_path: Path) -> 
 
 
 def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path) -> None:
-    pretrain(corpus, tmp_path / "out", Config.model_validate(TINY), seed=0)
+    pretrain([corpus], tmp_path / "out", Config.model_validate(TINY), seed=0)
     folder, store = tmp_path / "out" / "prior", Store(tmp_path / "store")
     digest = store.adopt(folder, Manifest.model_validate_json((folder / MANIFEST).read_bytes()))
     prior = store.open(digest, DiffusionPrior)
@@ -60,26 +60,45 @@ def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path
     assert open_prior(prior).size == 16
 
 
+def test_all_corpora_are_learnt_from(corpus: Path, tmp_path: Path) -> None:
+    """One whose training pictures are all black is seen: the prior becomes another; its held-out ones are judged on."""
+    for i in range(12):
+        write_png(tmp_path / "black" / f"{i}.png", np.zeros((20, 24, 3), np.uint8))
+    write_corpus(tmp_path / "black", tmp_path / "other", held_out=0.4)
+    pretrain([corpus], tmp_path / "one", Config.model_validate(TINY), seed=0)
+    pretrain([corpus, tmp_path / "other"], tmp_path / "two", Config.model_validate(TINY), seed=0)
+    one, two = (
+        artifact_in(tmp_path / name / "prior", "diffusion-prior@1", DiffusionPrior).metadata for name in ("one", "two")
+    )
+    pictures = [
+        artifact_in(folder, "image-corpus@1", ImageCorpus).metadata.pictures for folder in (corpus, tmp_path / "other")
+    ]
+    learnt = [sum(p.split == "train" for p in some) for some in pictures]
+    assert one.trained_on == f"{learnt[0]} pictures of an image corpus"
+    assert two.trained_on == f"{sum(learnt)} pictures of 2 image corpora"
+    assert curve(tmp_path / "one") != curve(tmp_path / "two")
+
+
 def test_it_goes_on_from_another_priors_weights(corpus: Path, tmp_path: Path) -> None:
-    pretrain(corpus, tmp_path / "first", Config.model_validate(TINY), seed=0)
+    pretrain([corpus], tmp_path / "first", Config.model_validate(TINY), seed=0)
     first = artifact_in(tmp_path / "first" / "prior", "diffusion-prior@1", DiffusionPrior)
     none = Config.model_validate(TINY | {"steps": 0})
-    pretrain(corpus, tmp_path / "second", none, seed=1, start=first.root)
+    pretrain([corpus], tmp_path / "second", none, seed=1, start=first.root)
     second = artifact_in(tmp_path / "second" / "prior", "diffusion-prior@1", DiffusionPrior)
     assert second.metadata.start == first.digest
     assert second.path("weights.safetensors").read_bytes() == first.path("weights.safetensors").read_bytes()
     (first.root / "weights.safetensors").write_bytes(b"torn")
     with pytest.raises(ArtifactError, match="is not what was written"):
-        pretrain(corpus, tmp_path / "third", none, seed=1, start=first.root)
+        pretrain([corpus], tmp_path / "third", none, seed=1, start=first.root)
 
 
 def test_what_cannot_be_learnt_from_is_named(corpus: Path, tmp_path: Path, monkeypatch) -> None:
     config = Config.model_validate(TINY)
     with pytest.raises(ConfigurationError, match="nowhere holds no artifact"):
-        pretrain(tmp_path / "nowhere", tmp_path / "out", config, seed=0)
+        pretrain([tmp_path / "nowhere"], tmp_path / "out", config, seed=0)
     write_corpus(tmp_path / "pictures", tmp_path / "all", held_out=0.0)
     with pytest.raises(BadInputError, match="8 pictures to learn from and 0 held out"):
-        pretrain(tmp_path / "all", tmp_path / "out", config, seed=0)
+        pretrain([tmp_path / "all"], tmp_path / "out", config, seed=0)
     monkeypatch.setattr(parallel, "ranks", lambda: 3)
     with pytest.raises(ConfigurationError, match="2 parts of a batch cannot be shared equally by 3 ranks"):
-        pretrain(corpus, tmp_path / "out", config, seed=0)
+        pretrain([corpus], tmp_path / "out", config, seed=0)

@@ -1,19 +1,21 @@
-"""A general prior of an image corpus alone, on as many processes as torchrun starts (D12).
+"""A general prior of image corpora alone, on as many processes as torchrun starts (D12).
 
-    torchrun --nproc-per-node 2 -m inpaint3d.stages.diffusion_training.pretrain CORPUS OUT [--config FILE] [--start DIR]
+    torchrun --nproc-per-node 2 -m inpaint3d.stages.diffusion_training.pretrain CORPUS ... OUT [--config FILE]
+        [--start DIR]
 
-CORPUS is an image-corpus artifact, FILE holds parameters of the stage as YAML, DIR is a diffusion-prior artifact to go
-on from, with a fresh optimiser. The `parts` of a step are shared out over the processes, so that their number changes
-nothing of what is learnt but the order of sums. Stopped or killed, the same command goes on from
-OUT/checkpoint.safetensors. OUT/prior becomes a diffusion-prior artifact in half precision, for
-`inpaint3d run --prior OUT/prior`. OUT/held_out.png shows pictures of the corpus, which may not be ours to pass on: it
-is not part of the artifact.
+A CORPUS is an image-corpus artifact; of several, every picture is drawn as often as any other. FILE holds parameters of
+the stage as YAML, DIR is a diffusion-prior artifact to go on from, with a fresh optimiser. The `parts` of a step are
+shared out over the processes, so that their number changes nothing of what is learnt but the order of sums. Stopped or
+killed, the same command goes on from OUT/checkpoint.safetensors. OUT/prior becomes a diffusion-prior artifact in half
+precision, for `inpaint3d run --prior OUT/prior`. OUT/held_out.png shows pictures of the corpora, which may not be ours
+to pass on: it is not part of the artifact.
 """
 
 import argparse
 import json
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +40,7 @@ from inpaint3d.stages.diffusion_training.teaching import EXAM_SEED, begin_or_res
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("corpus", type=Path)
+    parser.add_argument("corpus", type=Path, nargs="+")
     parser.add_argument("out", type=Path)
     parser.add_argument("--config", type=Path, help="parameters of diffusion-training, YAML")
     parser.add_argument("--start", type=Path, help="diffusion-prior artifact to go on from")
@@ -56,21 +58,23 @@ def main() -> None:
         leave_ranks()
 
 
-def pretrain(folder: Path, out: Path, config: Config, seed: int, start: Path | None = None) -> None:
+def pretrain(folders: Sequence[Path], out: Path, config: Config, seed: int, start: Path | None = None) -> None:
     """Train, and on the first rank write the artifact.
 
     Raises ConfigurationError for folders that hold no corpus or prior and for parts that the ranks cannot share,
-    BadInputError for a corpus that has nothing to learn from.
+    BadInputError for corpora that have nothing to learn from.
     """
     try:
         own_parts(config.parts)
     except ValueError as error:
         raise ConfigurationError(f"parts: {error}") from error
-    corpus = artifact_in(folder, "image-corpus@1", ImageCorpus)
-    training, held_out = corpus_pictures(corpus), corpus_pictures(corpus, "test")
+    corpora = [artifact_in(folder, "image-corpus@1", ImageCorpus) for folder in folders]
+    training = [picture for corpus in corpora for picture in corpus_pictures(corpus)]
+    held_out = [picture for corpus in corpora for picture in corpus_pictures(corpus, "test")]
     if not training or not held_out:
         raise BadInputError(
-            f"{folder} has {len(training)} pictures to learn from and {len(held_out)} held out; make a corpus with both"
+            f"{', '.join(map(str, folders))}: {len(training)} pictures to learn from and {len(held_out)} held out; "
+            "make a corpus with both"
         )
     work = out / f"rank-{rank()}"
     work.mkdir(parents=True, exist_ok=True)
@@ -96,7 +100,8 @@ def pretrain(folder: Path, out: Path, config: Config, seed: int, start: Path | N
         **runtime_of(config, prior, spec),
         steps=state.step,
         seed=seed,
-        trained_on=f"{len(training)} pictures of an image corpus",
+        trained_on=f"{len(training)} pictures of "
+        + ("an image corpus" if len(corpora) == 1 else f"{len(corpora)} image corpora"),
         start=pretrained.digest if pretrained else "scratch",
         held_out=judge(state.average, lesson.exam, config),
         non_finite=dict(ctx.non_finite),
