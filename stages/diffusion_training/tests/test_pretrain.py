@@ -61,7 +61,7 @@ def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path
 
 
 def test_all_corpora_are_learnt_from(corpus: Path, tmp_path: Path) -> None:
-    """One whose training pictures are all black is seen: the prior becomes another; its held-out ones are judged on."""
+    """A second one, of black pictures, makes it another prior."""
     for i in range(12):
         write_png(tmp_path / "black" / f"{i}.png", np.zeros((20, 24, 3), np.uint8))
     write_corpus(tmp_path / "black", tmp_path / "other", held_out=0.4)
