@@ -1,3 +1,4 @@
+import json
 import sys
 from pathlib import Path
 
@@ -107,6 +108,19 @@ def test_it_is_asked_at_the_row_of_its_table_that_is_as_noisy() -> None:
     # Beyond its noisiest and its cleanest row it can only be asked there.
     assert prior.timestep(torch.tensor([0.0, 1.0])).tolist() == [0.0, 999.0]
     assert cosine_log_snr(torch.ones(1)).item() < prior.log_snr[-1].item()
+
+
+def test_a_safety_checker_that_is_named_need_not_be_there(tmp_path: Path) -> None:
+    """The orchestrator leaves it behind; nothing of it is used."""
+    pipeline = latent_pipeline(tmp_path, 9)
+    pipeline.save_pretrained(tmp_path / "model")
+    index = tmp_path / "model" / "model_index.json"
+    named = {"safety_checker": ["stable_diffusion", "StableDiffusionSafetyChecker"], "requires_safety_checker": True}
+    index.write_text(json.dumps(json.loads(index.read_text()) | named))
+    z, t = torch.zeros(1, 4, 16, 16), torch.tensor([0.4])
+    asked = [torch.zeros(1, 3, 32, 32), torch.ones(1, 1, 32, 32)]
+    loaded = load_pipeline(str(tmp_path / "model")).predict_noise(z, t, *asked)
+    torch.testing.assert_close(loaded, PipelinePrior(pipeline).predict_noise(z, t, *asked))
 
 
 def test_a_folder_is_loaded_and_what_cannot_be_is_named(tmp_path: Path, picture, hole, monkeypatch) -> None:
