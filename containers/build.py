@@ -12,6 +12,7 @@ import json
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import yaml
@@ -71,9 +72,14 @@ def on_torch(name: str) -> bool:
 
 def torch_version(given: argparse.Namespace) -> str:
     """A name for all that the image with torch is made from: looking for gigabytes in a cache takes minutes."""
-    files = [ROOT / "pyproject.toml", ROOT / "uv.lock", HERE / f"{TORCH}.Containerfile"]
-    parts = [_digest(given.base), given.variant, *(file_digest(file) for file in files)]
+    lock = (ROOT / "uv.lock").read_text()
+    parts = [_digest(given.base), given.variant, file_digest(HERE / f"{TORCH}.Containerfile"), others_packages(lock)]
     return digest_of(parts).removeprefix("sha256:")[:12]
+
+
+def others_packages(lock: str) -> str:
+    """The digest of what a lock says of others' packages; which of ours needs which does not touch torch's layer."""
+    return digest_of([p for p in tomllib.loads(lock)["package"] if "registry" in p["source"]])
 
 
 def build(name: str, tag: str, base: str, revision: str, given: argparse.Namespace) -> None:

@@ -4,6 +4,7 @@ import re
 import tomllib
 
 import pytest
+from containers.build import others_packages
 from packaging.markers import Marker
 
 from inpaint3d.contracts.stage import load_stage
@@ -79,6 +80,15 @@ def test_torch_is_the_layer_of_those_who_need_it(name):
     shared = {d for d in distributions("torch") if not d.startswith("inpaint3d-")}
     assert "torch" in shared
     assert shared <= found or "torch" not in found, "what the layer has, every image on it needs"
+
+
+def test_only_others_packages_rename_the_layer_with_torch():
+    lock = (REPOSITORY / "uv.lock").read_text()
+    (torch,) = (p for p in tomllib.loads(lock)["package"] if p["name"] == "torch")
+    ours = '{ name = "inpaint3d-contracts" },'
+    assert ours in lock
+    assert others_packages(lock.replace(ours, "")) == others_packages(lock)
+    assert others_packages(lock.replace(f'version = "{torch["version"]}"', 'version = "0"')) != others_packages(lock)
 
 
 @pytest.mark.parametrize("name", STAGES)
