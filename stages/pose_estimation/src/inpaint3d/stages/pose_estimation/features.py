@@ -57,6 +57,7 @@ def add_pictures(
     database: Path, folder: Path, groups: Mapping[int, Sequence[str]], config: Config, ctx: Context
 ) -> None:
     """Extract features of pictures (paths below `folder`), grouped by the number of their camera."""
+    _number(database, groups)
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = config.feature_longest_side
     options.num_threads = ctx.threads
@@ -72,6 +73,25 @@ def add_pictures(
                 device=pycolmap.Device.cpu,
             )  # fmt: skip
             done += len(chunk)
+
+
+def _number(path: Path, groups: Mapping[int, Sequence[str]]) -> None:
+    """Number the pictures in the order given: the mapper goes by numbers, and threads would give them as they end."""
+    with pycolmap.Database.open(path) as database:
+        rigs = {rig.ref_sensor_id.id: rig.rig_id for rig in database.read_all_rigs()}
+        known = {image.name for image in database.read_all_images()}
+        for number, names in groups.items():
+            if number not in rigs:
+                rig = pycolmap.Rig()
+                rig.add_ref_sensor(database.read_camera(number).sensor_id)
+                rigs[number] = database.write_rig(rig)
+            for name in (n for n in names if n not in known):
+                image = pycolmap.Image(name=name, camera_id=number)
+                image.image_id = database.write_image(image)
+                frame = pycolmap.Frame()
+                frame.rig_id = rigs[number]
+                frame.add_data_id(image.data_id)
+                database.write_frame(frame)
 
 
 def match(database: Path, pairs: Pairs, ctx: Context) -> None:
