@@ -28,8 +28,9 @@ from tests.kubernetes.jobs import Cluster, job_of
 
 pytestmark = pytest.mark.kubernetes
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
-TRAINING = "diffusion-training"
+TRAINING, JOINT = "diffusion-training", "joint-optimization"
 TINY = load_yaml(REPOSITORY / "stages" / "diffusion_training" / "tests" / "tiny.yaml")[0] | {"steps": 200}
+TINY_JOINT = load_yaml(REPOSITORY / "stages" / "joint_optimization" / "tests" / "tiny.yaml")[0] | {"ranks": 2}
 TWO_PODS = Path(__file__).with_name("two_pods.py")
 
 
@@ -147,14 +148,14 @@ def test_pods_are_restricted(cluster, produced):
 
 @pytest.fixture(scope="module")
 def inputs(store, tmp_path_factory):
-    """What the training reads, by stubs as processes of this machine."""
+    """What the training and the joint optimisation read, by stubs as processes of this machine."""
     os.environ["INPAINT3D_CACHE"] = str(tmp_path_factory.mktemp("stubs"))
-    return values_of(TRAINING, Upstream(PIPELINE, TRAINING, store).produced)
+    return {node: values_of(node, Upstream(PIPELINE, node, store).produced) for node in (TRAINING, JOINT)}
 
 
 def training(template, name, inputs, memory=None):
     """A Job of the real training, long enough to be disturbed."""
-    documents = job_of(template(overrides={TRAINING: TINY}), TRAINING, name, inputs)
+    documents = job_of(template(overrides={TRAINING: TINY}), TRAINING, name, inputs[TRAINING])
     if memory:
         container = documents[1]["spec"]["template"]["spec"]["containers"][0]
         container["resources"] = {kind: {"cpu": "500m", "memory": memory} for kind in ("requests", "limits")}
@@ -214,7 +215,9 @@ def test_two_pods_learn_what_one_does(cluster, template, place, store):
     """An Indexed Job with torchrun (gloo between the pods' addresses) against one process on both halves of a batch."""
     tiny = TINY | {"parts": 2, "steps": 6, "curve_rows": 3}
     for pods in (1, 2):
-        cluster.apply(indexed(template(), f"ranks-{pods}", place, tiny, pods))
+        documents = job_of(template(), TRAINING, f"ranks-{pods}", {})
+        documents[0]["data"]["config.yaml"] = yaml.safe_dump(tiny)
+        cluster.apply(indexed(documents, place, pods, "training"))
     curves = {}
     for pods in (1, 2):
         assert cluster.ended(f"ranks-{pods}") == "Complete", cluster.kubectl("logs", "-l", f"job-name=ranks-{pods}")
@@ -229,18 +232,35 @@ def test_two_pods_learn_what_one_does(cluster, template, place, store):
     cluster.say(f"two pods against one: {len(curves[2])} rows of the curve, largest relative difference {worst:.1e}")
 
 
-def indexed(template, name, place, parameters, pods):
-    """The training's pod as an Indexed Job that runs `two_pods.py`."""
-    files, job = job_of(template, TRAINING, name, {})
-    files["data"] |= {"two_pods.py": TWO_PODS.read_text(), "config.yaml": yaml.safe_dump(parameters)}
+def test_two_pods_optimise_what_two_ranks_of_one_pod_do(cluster, template, inputs, place, store):
+    """The same key, and the same digest, whether the second rank is a process of the stage's own pod or a pod."""
+    joint = template(overrides={JOINT: TINY_JOINT})
+    cluster.apply(job_of(joint, JOINT, "joint-1", inputs[JOINT]))
+    assert cluster.ended("joint-1") == "Complete", cluster.events("joint-1")
+    (record,) = records_of(store, JOINT)
+    store.forget(record.key)
+    began = time.monotonic()
+    cluster.apply(indexed(job_of(joint, JOINT, "joint-2", inputs[JOINT]), place, 2, "joint"))
+    assert cluster.ended("joint-2") == "Complete", cluster.kubectl("logs", "-l", "job-name=joint-2")
+    assert len(cluster.pods("joint-2")) == 2
+    assert [r.outputs for r in records_of(store, JOINT)] == [record.outputs]
+    took = time.monotonic() - began
+    cluster.say(f"joint optimisation, two pods against two ranks of one: the same digests, in {took:.1f} s")
+
+
+def indexed(documents, place, pods, what):
+    """A stage's pod as an Indexed Job that runs `two_pods.py`."""
+    files, job = documents
+    files["data"]["two_pods.py"] = TWO_PODS.read_text()
     container = job["spec"]["template"]["spec"]["containers"][0]
-    container["command"], container["args"] = ["python", "/inpaint3d/two_pods.py"], [place, name, str(pods)]
+    container["command"] = ["python", "/inpaint3d/two_pods.py"]
+    container["args"] = [place, job["metadata"]["name"], str(pods), what]
     container["env"].append({"name": "POD_IP", "valueFrom": {"fieldRef": {"fieldPath": "status.podIP"}}})
     container["resources"] = {"requests": {"cpu": "500m", "memory": "1Gi"}, "limits": {"memory": "4Gi"}}
     mounts = [m for m in container["volumeMounts"] if m["name"] != "files"]
     container["volumeMounts"] = [*mounts, {"name": "files", "mountPath": "/inpaint3d", "readOnly": True}]
     job["spec"] |= {"completionMode": "Indexed", "completions": pods, "parallelism": pods}
-    return [files, job]
+    return documents
 
 
 def test_the_recorder_writes_the_run(cluster, template, produced, store, externals, place, images):

@@ -1,6 +1,9 @@
 """Row S12, with two gloo ranks."""
 
 import io
+import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,7 @@ from pydantic import ValidationError
 
 from inpaint3d.contracts.artifacts import RadianceFieldArtifact
 from inpaint3d.contracts.context import Inputs
+from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.stage import load_stage
 from inpaint3d.contracts.store import Store
@@ -19,6 +23,7 @@ from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.optim import learning_rate, make_optimizer
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.rank import step_along
 from inpaint3d.stages.joint_optimization.run import pose
 
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text()) | {"steps": 5}
@@ -53,6 +58,34 @@ def test_two_ranks_step_along_the_mean_of_their_gradients(store: Store, inputs: 
         torch.testing.assert_close(got.get_parameter(name), parameter)
     moved = max(float((a - b.detach()).abs().max()) for a, b in zip(before, field.parameters(), strict=True))
     assert moved > 1e-3
+
+
+def test_ranks_of_torchrun_give_what_the_stage_s_own_ranks_do(
+    store: Store, inputs: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
+    """The same digest under the same key, whether the second rank was spawned by the first or started beside it."""
+    invocation = Invocation(inputs=inputs(), parameters=TINY | {"ranks": 2}, threads=2)
+    record = execute("inpaint3d.stages.joint_optimization", store, invocation, io.StringIO())
+    store.forget(record.key)
+    (tmp_path / "invocation.json").write_text(invocation.model_dump_json())
+    line = [
+        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2",
+        "-m", "inpaint3d.stages.joint_optimization.rank",
+        "run", "--store", store.place, "--invocation", str(tmp_path / "invocation.json"),
+    ]  # fmt: skip
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    events = [json.loads(text) for text in done.stdout.splitlines() if text.startswith("{")]
+    assert any(e["event"] == "progress" for e in events), "computed again"
+    assert [e["outputs"] for e in events if e["event"] == "done"] == [record.outputs]
+    assert store.lookup(record.key) is not None
+
+
+def test_another_number_of_processes_than_ranks_is_refused(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"RANK": 1, "WORLD_SIZE": 3, "LOCAL_RANK": 1, "LOCAL_WORLD_SIZE": 3}.items():
+        monkeypatch.setenv(name, str(value))
+    with pytest.raises(ConfigurationError, match="started 3 processes, the parameter ranks says 2"):
+        step_along(store, Invocation(parameters=TINY | {"ranks": 2}))
 
 
 def test_rays_are_shared_out(store: Store, inputs: Callable[..., dict[str, Any]]) -> None:

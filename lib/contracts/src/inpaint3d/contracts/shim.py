@@ -106,7 +106,18 @@ def stage_spec(module: str) -> StageSpec:
 def execute(module: str, store: Store, invocation: Invocation, events: TextIO) -> Record:
     """Run a stage under its key, or return what is already there. Errors are the tree of `errors`."""
     spec = stage_spec(module)
-    components = key_components(
+    components = components_of(module, spec, invocation)
+    key = run_key(components)
+    with store.in_use(), store.lock(key):
+        if (record := store.lookup(key)) is None:
+            store.sweep_tmp()
+            record = _run(module, spec, store, invocation, key, components, events)
+    return record
+
+
+def components_of(module: str, spec: StageSpec, invocation: Invocation) -> dict[str, Any]:
+    """All that the key of an invocation is taken over."""
+    return key_components(
         spec,
         code=code_digest(module),
         parameters=invocation.parameters,
@@ -115,12 +126,6 @@ def execute(module: str, store: Store, invocation: Invocation, events: TextIO) -
         device=invocation.device,
         stub=invocation.stub,
     )
-    key = run_key(components)
-    with store.in_use(), store.lock(key):
-        if (record := store.lookup(key)) is None:
-            store.sweep_tmp()
-            record = _run(module, spec, store, invocation, key, components, events)
-    return record
 
 
 def _run(
@@ -136,7 +141,7 @@ def _run(
         events.write(json.dumps({"event": event, "stage": spec.metadata.name, **values}) + "\n")
         events.flush()
 
-    config = _config(module, spec, invocation.parameters)
+    config = config_of(module, spec, invocation.parameters)
     work = store.work_folder(key)
     ctx = Context(seed=invocation.seed, device=invocation.device, threads=invocation.threads, work=work, emit=emit)
     inputs, outputs = Inputs(store, spec, invocation.inputs), Outputs(store, spec)
@@ -158,7 +163,8 @@ def _run(
     return record
 
 
-def _config(module: str, spec: StageSpec, parameters: dict[str, Any]) -> Any:
+def config_of(module: str, spec: StageSpec, parameters: dict[str, Any]) -> Any:
+    """The stage's `Config` of these parameters; ConfigurationError where it takes no such."""
     config = importlib.import_module(f"{module}.config").Config
     try:
         return config.model_validate(parameters)
@@ -224,11 +230,7 @@ def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | Non
         invocation = Invocation.model_validate_json(invocation_file.read_bytes())
         if invocation.die_with_parent:
             die_with_parent()
-        # Native libraries read these when they are first imported, which is after this line.
-        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ[name] = str(invocation.threads)
-        # Threads that wait by spinning take cores from whoever else needs them, themselves included.
-        os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+        announce_threads(invocation.threads)
         record = execute(module, open_store(place), invocation, events)
         if outputs is not None:
             _leave(outputs, stage_spec(module), record)
@@ -247,6 +249,14 @@ def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | Non
         sys.stderr.write(trace)
     say("error", kind=failure.kind, message=str(failure), exit_code=failure.exit_code)
     return failure.exit_code
+
+
+def announce_threads(count: int) -> None:
+    """Tell native libraries, which read it when they are first imported, how many threads they may have."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = str(count)
+    # Threads that wait by spinning take cores from whoever else needs them, themselves included.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def _leave(folder: Path, spec: StageSpec, record: Record) -> None:

@@ -133,7 +133,7 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
     # A checkpoint holds a stream; here every step has its own.
     unused = torch.Generator()
     checkpoint = ctx.work / "checkpoint.safetensors"
-    ranks.wait()
+    ranks.hand_out(checkpoint)
     if (kept := load_checkpoint(checkpoint, field, optimizer, unused)) is not None:
         curves.restore(kept)
         if problem.guide is not None:

@@ -1,6 +1,11 @@
-"""Data parallelism (S12): every rank takes its own rays and its own patch, and all step along their mean gradient."""
+"""Data parallelism (S12): every rank takes its own rays and its own patch, and all step along their mean gradient.
+
+Alone, the stage starts the other ranks as processes beside it; under torchrun they are there already, on this machine
+and on others (`rank.py`).
+"""
 
 import contextlib
+import os
 import signal
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
@@ -8,13 +13,14 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import torch.distributed as dist
 import torch.multiprocessing as mp
 from torch import Tensor
 
 from inpaint3d.contracts.context import Context, Inputs
-from inpaint3d.contracts.errors import InterruptedRun
+from inpaint3d.contracts.errors import ConfigurationError, InterruptedRun
 from inpaint3d.stages.joint_optimization.config import Config
 
 PATIENCE = timedelta(minutes=10)
@@ -25,10 +31,12 @@ Solve = Callable[[Config, Inputs, Context, "Ranks"], Any]
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which of how many processes this is. Alone, nothing below does anything."""
+    """Which of how many processes this is, and which of how many on its machine. Alone, nothing below does anything."""
 
     rank: int = 0
     count: int = 1
+    place: int = 0
+    here: int = 1
 
     def average(self, parameters: Iterable[Tensor]) -> None:
         """Replace every gradient by its mean over the ranks, which compute the same terms and so the same gradients."""
@@ -42,18 +50,36 @@ class Ranks:
         """What the first rank decided."""
         if self.count == 1:
             return list(decided)
-        flags = torch.tensor(decided, dtype=torch.int32, device="cuda" if dist.get_backend() == "nccl" else "cpu")
+        flags = torch.tensor(decided, dtype=torch.int32, device=_wire())
         dist.broadcast(flags, src=0)
         return [bool(flag) for flag in flags.tolist()]
 
-    def wait(self) -> None:
-        """Until every rank is here."""
-        if self.count > 1:
-            dist.barrier()
+    def hand_out(self, file: Path) -> None:
+        """Give every rank the first one's file, or none where it has none: other machines do not see its folder."""
+        if self.count == 1:
+            return
+        first = self.rank == 0
+        kept = np.fromfile(file, np.uint8) if first and file.exists() else np.empty(0, np.uint8)
+        size = torch.tensor([kept.size], device=_wire())
+        dist.broadcast(size, src=0)
+        data = (
+            torch.from_numpy(kept).to(_wire()) if first else torch.empty(int(size), dtype=torch.uint8, device=_wire())
+        )
+        if data.numel():
+            dist.broadcast(data, src=0)
+        if not first:
+            file.unlink(missing_ok=True)
+            if data.numel():
+                data.cpu().numpy().tofile(file)
 
     def device(self, kind: str) -> str:
         """The rank's own GPU, or the processor."""
-        return f"cuda:{self.rank}" if kind == "cuda" and self.count > 1 else kind
+        return f"cuda:{self.place}" if kind == "cuda" and self.count > 1 else kind
+
+
+def _wire() -> str:
+    """Where a tensor has to lie to be sent."""
+    return "cuda" if dist.get_backend() == "nccl" else "cpu"
 
 
 @contextlib.contextmanager
@@ -65,6 +91,10 @@ def together(count: int, solve: Solve, config: Config, inputs: Inputs, ctx: Cont
     if count == 1:
         yield Ranks()
         return
+    if dist.is_torchelastic_launched():
+        with started_by_torchrun(count, ctx.device) as ranks:
+            yield ranks
+        return
     meeting = ctx.work / "ranks"
     meeting.unlink(missing_ok=True)  # of a run that was killed
     task = (config, inputs, ctx.seed, ctx.device, ctx.threads, ctx.work)
@@ -73,7 +103,7 @@ def together(count: int, solve: Solve, config: Config, inputs: Inputs, ctx: Cont
     for process in others:
         process.start()
     try:
-        with _group(0, count, ctx.device, meeting) as ranks:
+        with _group(Ranks(0, count, 0, count), ctx.device, f"file://{meeting}") as ranks:
             yield ranks
             for process in others:
                 process.join()
@@ -93,11 +123,21 @@ def _follow(
     threads: int,
     work: Path,
 ) -> None:
+    with _group(Ranks(rank, count, rank, count), device, f"file://{work / 'ranks'}") as ranks:
+        follow(config, inputs, solve, ranks, seed=seed, device=device, threads=threads, work=work)
+
+
+def follow(
+    config: Config, inputs: Inputs, solve: Solve, ranks: Ranks, *, seed: int, device: str, threads: int, work: Path
+) -> None:
+    """What a rank does that is not the first: step with the others, say nothing, leave nothing but in `work`."""
     # Whoever stops the run tells the first rank, which tells the others when to stop.
     for kind in (signal.SIGTERM, signal.SIGINT):
         signal.signal(kind, signal.SIG_IGN)
-    ctx = _Quiet(seed=seed, device=device, threads=threads, work=work, emit=_nothing)
-    with _group(rank, count, device, work / "ranks") as ranks, contextlib.suppress(InterruptedRun):
+    own = work / f"rank-{ranks.rank}"
+    own.mkdir(parents=True, exist_ok=True)
+    ctx = _Quiet(seed=seed, device=device, threads=threads, work=own, emit=_nothing)
+    with contextlib.suppress(InterruptedRun):
         solve(config, inputs, ctx, ranks)
 
 
@@ -116,12 +156,25 @@ class _Quiet(Context):
 
 
 @contextlib.contextmanager
-def _group(rank: int, count: int, device: str, meeting: Path) -> Generator[Ranks]:
+def started_by_torchrun(count: int, device: str) -> Generator[Ranks]:
+    """The rank that torchrun made of this process. ConfigurationError where it started another number of them."""
+    names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
+    rank, started, place, here = (int(os.environ[name]) for name in names)
+    if started != count:
+        raise ConfigurationError(
+            f"torchrun started {started} processes, the parameter ranks says {count}; make them equal"
+        )
+    with _group(Ranks(rank, count, place, here), device, "env://") as ranks:
+        yield ranks
+
+
+@contextlib.contextmanager
+def _group(ranks: Ranks, device: str, meeting: str) -> Generator[Ranks]:
     if device == "cuda":
-        torch.cuda.set_device(rank)
+        torch.cuda.set_device(ranks.place)
     backend = "nccl" if device == "cuda" else "gloo"
-    dist.init_process_group(backend, f"file://{meeting}", PATIENCE, world_size=count, rank=rank)
+    dist.init_process_group(backend, meeting, PATIENCE, world_size=ranks.count, rank=ranks.rank)
     try:
-        yield Ranks(rank, count)
+        yield ranks
     finally:
         dist.destroy_process_group()

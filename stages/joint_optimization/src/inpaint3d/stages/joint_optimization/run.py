@@ -73,7 +73,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
 
 def solve(config: Config, inputs: Inputs, ctx: Context, ranks: Ranks) -> tuple[Problem, dict[str, str], Curves]:
     """Pose the problem and optimise: what every rank does alike."""
-    torch.set_num_threads(max(1, ctx.threads // ranks.count))
+    torch.set_num_threads(max(1, ctx.threads // ranks.here))
     problem, reasons = pose(config, inputs, ctx.seed, ranks.device(ctx.device))
     if isinstance(problem.guide, PriorGuide) and (copy := problem.guide.copy) is not None:
         copy.optimiser.register_step_pre_hook(lambda *_: ranks.average(copy.parameters))

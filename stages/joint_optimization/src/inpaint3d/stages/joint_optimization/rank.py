@@ -1,0 +1,65 @@
+"""One rank of a run on several machines, as torchrun starts it (S12); the first one is the stage itself.
+
+    torchrun TORCHRUN'S OPTIONS -m inpaint3d.stages.joint_optimization.rank run --store STORE --invocation FILE
+
+The parameter `ranks` is the number of processes over all machines. Each reads the inputs from the store; the first
+alone writes there, under the key of a run that starts its ranks by itself, since the result is the same.
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from inpaint3d.contracts.context import Inputs
+from inpaint3d.contracts.errors import Inpaint3dError, from_os_error
+from inpaint3d.contracts.keys import run_key
+from inpaint3d.contracts.shim import Invocation, announce_threads, components_of, config_of, serve, stage_spec
+from inpaint3d.contracts.store import Store, open_store
+
+MODULE = "inpaint3d.stages.joint_optimization"
+
+
+def main() -> None:
+    if os.environ["RANK"] == "0":
+        serve(MODULE)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=["run"])
+    parser.add_argument("--store", required=True, help="a folder, or s3://BUCKET/PREFIX")
+    parser.add_argument("--invocation", type=Path, required=True)
+    options, _ = parser.parse_known_args()
+    try:
+        step_along(open_store(options.store), Invocation.model_validate_json(options.invocation.read_bytes()))
+    except (Inpaint3dError, OSError) as error:
+        failure = from_os_error(error) if isinstance(error, OSError) else error
+        sys.stderr.write(f"rank {os.environ['RANK']}: {failure.kind}: {failure}\n")
+        sys.exit(failure.exit_code)
+
+
+def step_along(store: Store, invocation: Invocation) -> None:
+    """Do a rank's share of every step; nothing where the result is there already. Errors are the tree of `errors`."""
+    announce_threads(invocation.threads)
+    from inpaint3d.stages.joint_optimization.parallel import follow, started_by_torchrun
+    from inpaint3d.stages.joint_optimization.run import solve
+
+    spec = stage_spec(MODULE)
+    config = config_of(MODULE, spec, invocation.parameters)
+    key = run_key(components_of(MODULE, spec, invocation))
+    with store.in_use():
+        if store.lookup(key) is not None:
+            return
+        with started_by_torchrun(config.ranks, invocation.device) as ranks:
+            follow(
+                config,
+                Inputs(store, spec, invocation.inputs),
+                solve,
+                ranks,
+                seed=invocation.seed,
+                device=invocation.device,
+                threads=invocation.threads,
+                work=store.work_folder(key),
+            )
+
+
+if __name__ == "__main__":
+    main()
