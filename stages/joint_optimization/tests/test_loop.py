@@ -114,3 +114,11 @@ def test_a_step_depends_on_its_seed_step_and_rank_alone(posed: Make) -> None:
     assert figures(problem, 12) == first
     drawn = [problem.terms(step, Ranks(rank, 2))[1]["t"] for step in (12, 13) for rank in (0, 1)]
     assert len(set(drawn)) == 4
+
+
+def test_a_field_that_is_carried_over_learns_at_a_share_of_the_rate(posed: Make) -> None:
+    """N7 from nothing: 1e-2 at the end of the warm-up, 1e-3 at the end."""
+    problem = posed(learning_rate_warmup=5, learning_rate_steps=20, carried_rate=0.3)
+    rates = [replace(problem, fresh=True).rate(step) for step in (0, 20, 39)]
+    assert rates == pytest.approx([2e-3, 1e-3, 1e-3])
+    assert [replace(problem, fresh=False).rate(step) for step in (0, 20, 39)] == pytest.approx([0.3 * r for r in rates])

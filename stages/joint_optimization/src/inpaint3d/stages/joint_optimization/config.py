@@ -53,6 +53,11 @@ class Config(Closed):
         default=None, description="steps of the exponential decay; None: all steps; 2200 in the paper (N7)"
     )
     learning_rate_warmup: Steps = Field(default=20, description="steps of linear warm-up; 100 in the paper (N7)")
+    carried_rate: Positive = Field(
+        default=0.3,
+        description="share of the learning rates that a field which is carried over gets: at the full rate it forgets "
+        "what it knows",
+    )
     network_rate_share: Positive = Field(default=1.0, description="networks' rate over the tables'")
     sparse_adam: bool = Field(
         default=False,

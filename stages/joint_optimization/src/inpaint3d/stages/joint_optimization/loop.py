@@ -67,6 +67,17 @@ class Problem:
         """Steps since the start of distillation (S6, S8); negative before it, and throughout without a guide."""
         return -1 if self.guide is None else step - (self.config.warmup_steps if self.fresh else 0)
 
+    def rate(self, step: int) -> float:
+        """The learning rate of a step (N7)."""
+        config = self.config
+        return (1.0 if self.fresh else config.carried_rate) * learning_rate(
+            step,
+            initial=config.learning_rate,
+            final=config.final_learning_rate,
+            steps=config.learning_rate_steps or config.steps,
+            warmup=config.learning_rate_warmup,
+        )
+
     def terms(self, step: int, ranks: Ranks) -> tuple[Terms, dict[str, float]]:
         """The weighted terms of a rank at a step, and how strongly the prior pushed.
 
@@ -158,14 +169,7 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
         last = step + 1 == config.steps
         due = terms_due(step, problem.since(step), config.terms_every, config.distill_every)
         norms = gradient_norms(field, terms | decay_term(field, config)) if last or due else None
-        rate = learning_rate(
-            step,
-            initial=config.learning_rate,
-            final=config.final_learning_rate,
-            steps=config.learning_rate_steps or config.steps,
-            warmup=config.learning_rate_warmup,
-        )
-        losses = descend(field, optimizer, terms, rate, ctx.non_finite)
+        losses = descend(field, optimizer, terms, problem.rate(step), ctx.non_finite)
         if norms is not None:
             curves.add_terms(step + 1, losses, norms, **figures)
         if ranks.rank == 0 and (last or (step + 1) % config.score_every == 0):
