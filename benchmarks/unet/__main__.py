@@ -53,6 +53,7 @@ README = REPOSITORY / "stages" / "diffusion_training" / "README.md"
 BATCH = 8
 PAPER_SIDE = 64
 TURN_S, POINTS = 6.0, 6  # --learn: seconds of a turn, points of each curve
+RATE = 3e-4  # at batches of this size 1e-3 is too much for all three: none leaves its start
 KINDS = ("fp32", "bf16", "channels_last", "onnxruntime", "compiled")
 
 Figures = dict[str, Any]
@@ -231,7 +232,7 @@ def learning(spec: PriorSpec, folder: Path, cpu_seconds: float) -> Figures:
             drawn = [lesson.capture[i] for i in rng.integers(len(lesson.capture), size=BATCH)]
             batch = lesson.cropper.batch(drawn, rng)
             loss = lambda p, b=batch, g=generator: denoising_loss(p, b, g, (0.02, 1.0))  # noqa: E731
-            train_step(state, loss, learning_rate=1e-3 * min(1.0, (state.step + 1) / 50), ema=0.99)
+            train_step(state, loss, learning_rate=RATE * min(1.0, (state.step + 1) / 50), ema=0.99)
         spent[name] += time.process_time() - start
         if spent[name] >= min(cpu_seconds, (len(curves[name]) + 1) * cpu_seconds / POINTS):
             curves[name].append([round(spent[name], 1), round(exam_loss(state.average, lesson.exam), 4)])
