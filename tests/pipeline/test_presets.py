@@ -43,6 +43,14 @@ def test_the_joint_optimisation_has_the_paper_s_numbers(preset):
     assert {name: chosen[name] for name in wanted} == wanted
 
 
+@pytest.mark.parametrize("preset", OWN)
+@pytest.mark.parametrize(
+    "node", ["nerf-pretraining", "masked-reconstruction", "continued-reconstruction", "joint-optimization"]
+)
+def test_the_paper_s_fields_learn_nothing_from_sparse_points(node, preset):
+    assert resolved(PIPELINE, node, PIPELINE.parameters(node, preset))["sight_weight"] == 0.0
+
+
 def test_a_patch_of_the_paper_is_its_prior_s_pixels():
     """S1: at 360 x 640 the asked share of the short side is 256 pixels, one for each of the prior's."""
     share = PIPELINE.parameters("joint-optimization", "paper")["span_first"]

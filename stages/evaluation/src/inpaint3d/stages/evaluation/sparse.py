@@ -21,9 +21,7 @@ def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], poin
     Fields may have learnt from what the training photos saw: those judge only where no photo is held out. Where a
     field's figures are not finite it is counted, and none is scored.
     """
-    known = outside(points, cameras, photos)
-    held_out = np.array([photo.split == "test" for photo in photos])[points.track_frame]
-    judges = known & held_out if (known & held_out).any() else known
+    judges, split = judging(outside(points, cameras, photos), points, photos)
     metrics: list[Metric] = []
     for method in bench.methods:
         found = agreement(method.field, cameras, points, among=judges, block=bench.config.block)
@@ -39,12 +37,18 @@ def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], poin
         Protocol(
             name=SPARSE,
             description=f"{count} sightings of the points that the poses were found with, as "
-            f"{'held-out' if judges is not known else 'training'} photos saw them outside their masks. Depth: median "
+            f"{split} photos saw them outside their masks. Depth: median "
             "of the relative difference between a ray's median distance and its point's. Opacity in front: what a ray "
             f"gathers in the first {FRONT:.0%} of the way, 0 in clear air.",
             metrics=tuple(metrics),
         )
     ]
+
+
+def judging(known: NDArray[np.bool_], points: SparsePoints, photos: list[Photo]) -> tuple[NDArray[np.bool_], str]:
+    """Which known rows of the tracks are looked at, [t], and whose they are: held-out photos' if there are any."""
+    held_out = known & np.array([photo.split == "test" for photo in photos])[points.track_frame]
+    return (held_out, "held-out") if held_out.any() else (known, "training")
 
 
 def outside(points: SparsePoints, cameras: list[Camera], photos: list[Photo]) -> NDArray[np.bool_]:
