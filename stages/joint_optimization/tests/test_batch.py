@@ -4,8 +4,9 @@ import numpy as np
 import torch
 
 from inpaint3d.radiance.rays import camera_rays
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.scene.synthetic import SyntheticScene
-from inpaint3d.stages.joint_optimization.batch import RayBank
+from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
 from inpaint3d.stages.joint_optimization.scene import SceneView
 
 
@@ -38,9 +39,12 @@ def test_what_was_filled_is_drawn_in_the_share_that_is_asked(room: SyntheticScen
     """In place of masked rays, after the known ones, in the colours of the filled pictures."""
     views = views_of(room)
     filled = [replace(v, image=np.full_like(v.image, 0.1 * (i + 1))) for i, v in enumerate(views)]
-    bank = RayBank(views, "cpu", filled=filled, filled_share=0.25)
-    batch = bank.draw(400, patches=0, patch_size=8, generator=torch.Generator().manual_seed(0))
-    assert len(batch.target) == len(batch.rays.origins) == 400
+    depths = [np.full(m.shape, 2.0 + i) for i, m in enumerate(room.object_masks)]
+    surfaces = Sightings.of_surfaces(list(zip(room.cameras, depths, room.object_masks, strict=True)))
+    bank = RayBank(views, "cpu", filled=Filled(filled, surfaces), filled_share=0.25)
+    batch = bank.draw(400, patches=0, patch_size=8, generator=torch.Generator().manual_seed(0), sighted=16)
+    assert len(batch.target) == 400
+    assert len(batch.rays.origins) == 416
     assert batch.rays.view is not None
     for k in range(400):
         view = int(batch.rays.view[k])
@@ -48,6 +52,13 @@ def test_what_was_filled_is_drawn_in_the_share_that_is_asked(room: SyntheticScen
         assert room.object_masks[view][int(y), int(x)] == (k >= 300)
         wanted = filled[view] if k >= 300 else views[view]
         np.testing.assert_array_equal(batch.target[k].numpy(), wanted.image[int(y), int(x)])
+    assert batch.sighted == slice(400, 416)
+    ends = batch.rays.origins[400:] + batch.rays.directions[400:] * batch.distance[:, None]
+    for origin, end in zip(batch.rays.origins[400:].numpy(), ends.numpy(), strict=True):
+        view = int(np.argmin([np.linalg.norm(c.centre - origin) for c in room.cameras]))
+        (x, y), z = room.cameras[view].project(end.astype(np.float64))
+        assert room.object_masks[view][int(y), int(x)]
+        np.testing.assert_allclose(z, 2.0 + view, rtol=1e-5)
 
 
 def test_colours_belong_to_their_rays(room: SyntheticScene) -> None:

@@ -44,7 +44,8 @@ def error(room: SyntheticScene, pictures: list[np.ndarray]) -> float:
 def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
     """With the true depth behind the ball the pictures come far nearer to the empty room than a smooth filling."""
     views = views_of(large)
-    pictures, words = completed(views, depths_of(large), Plain(), witnesses=2, references=3)
+    made, words = completed(views, depths_of(large), Plain(), witnesses=2, references=3)
+    pictures = [one.picture for one in made]
     smooth = [telea(v.image, v.hole) for v in views]
     assert error(large, pictures) < 0.6 * error(large, smooth)
     assert words.endswith(tuple(large.names))
@@ -55,7 +56,8 @@ def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
 def test_what_is_made_up_is_the_same_from_every_view(large: SyntheticScene) -> None:
     """A point of the floor under the ball has one colour, however many views it is seen from."""
     views = views_of(large)
-    pictures, _ = completed(views, depths_of(large), Plain(), witnesses=2, references=3)
+    made, _ = completed(views, depths_of(large), Plain(), witnesses=2, references=3)
+    pictures = [one.picture for one in made]
     smooth = [telea(v.image, v.hole) for v in views]
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     floor = np.stack([0.05 * np.cos(angles), 0.05 * np.sin(angles), np.full(24, -0.2)], -1)
@@ -69,6 +71,24 @@ def test_what_is_made_up_is_the_same_from_every_view(large: SyntheticScene) -> N
         return float(np.std(colours, 0).mean())
 
     assert spread(pictures) < 0.5 * spread(smooth)
+
+
+def test_a_surface_that_no_photo_shows_is_spanned_and_carried(large: SyntheticScene) -> None:
+    """A field's depth says nothing where only masks look; the floor there is found from what lies around."""
+    views = views_of(large)
+    lost = {}
+    for name, camera, hole, depth in zip(
+        large.names, large.cameras, large.object_masks, large.empty_depths, strict=True
+    ):
+        points = camera.unproject(camera.pixel_centres(), depth)
+        under_the_ball = hole & (np.hypot(points[..., 0], points[..., 1]) < 0.2)
+        assert under_the_ball.any()
+        lost[name] = np.where(under_the_ball, 0.4 * depth, depth).astype(np.float32)
+    made, _ = completed(views, lost, Plain(), witnesses=2, references=3)
+    for one, depth in zip(made, large.empty_depths, strict=True):
+        wrong = np.abs(lost[one.view.name] / depth - 1)[one.view.hole]
+        left = np.abs(one.depth / depth - 1)[one.view.hole]
+        assert left.mean() < 0.25 * wrong.mean()
 
 
 def test_a_picture_in_the_mean_appearance_and_back(room: SyntheticScene) -> None:

@@ -36,7 +36,27 @@ class Sightings:
         """Of the rows of the tracks that `among` takes; None: of all. `points.track_frame` indexes `cameras`."""
         chosen = slice(None) if among is None else among
         origins = np.stack([camera.centre for camera in cameras])[points.track_frame[chosen]]
-        offsets = points.xyz[points.track_point[chosen]] - origins
+        return cls._between(origins, points.xyz[points.track_point[chosen]], device)
+
+    @classmethod
+    def of_surfaces(
+        cls,
+        surfaces: Sequence[tuple[Camera, NDArray[np.floating], NDArray[np.bool_]]],
+        device: torch.device | str = "cpu",
+    ) -> "Sightings":
+        """Of the surfaces that cameras see at the chosen of their pixels: (camera, z [h, w], chosen [h, w]) of each."""
+        origins, points = [np.empty((0, 3))], [np.empty((0, 3))]
+        for camera, depth, chosen in surfaces:
+            points.append(camera.unproject(camera.pixel_centres()[chosen], depth[chosen]))
+            origins.append(np.broadcast_to(camera.centre, points[-1].shape))
+        return cls._between(np.concatenate(origins), np.concatenate(points), device)
+
+    @classmethod
+    def _between(
+        cls, origins: NDArray[np.floating], points: NDArray[np.floating], device: torch.device | str
+    ) -> "Sightings":
+        """From origins to points, [n, 3] both."""
+        offsets = points - origins
         distance = np.linalg.norm(offsets, axis=1)
         # A point in a camera's centre has no direction; nothing is to be learnt of it.
         near = np.maximum(distance, np.finfo(np.float32).tiny)[:, None]

@@ -16,10 +16,10 @@ from inpaint3d.stages.joint_optimization.scene import SceneView
 @dataclass(frozen=True)
 class Batch:
     """All rays of a step in one row: known pixels first (made-up ones last among them), then masked ones, then those to
-    sparse points, then patches.
+    sparse points and to made-up surfaces, then patches.
 
-    target: colours [k, 3] of the first k rays; distance [m]: to the sparse points, scene units; patches: (p, h, w) of
-    the last p * h * w rays.
+    target: colours [k, 3] of the first k rays; distance [m]: to the points and surfaces, scene units; patches:
+    (p, h, w) of the last p * h * w rays.
     """
 
     rays: Rays
@@ -29,17 +29,25 @@ class Batch:
 
     @property
     def sighted(self) -> slice:
-        """Which rays lead to sparse points."""
+        """Which rays lead to sparse points and made-up surfaces."""
         p, h, w = self.patches
         end = len(self.rays.origins) - p * h * w
         return slice(end - len(self.distance), end)
 
 
+@dataclass(frozen=True)
+class Filled:
+    """What was made up: the views again without their holes, and the surfaces in the holes as the views see them."""
+
+    views: Sequence[SceneView]
+    surfaces: Sightings
+
+
 class RayBank:
     """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper.
 
-    filled: the views again, their holes made up: of each batch the share `filled_share` shows what was made up, in
-    place of masked rays that nothing is known of. sightings: of sparse points by these views.
+    filled: what was made up; of each batch the share `filled_share` shows it, in place of masked rays that nothing is
+    known of. sightings: of sparse points by these views; as many rays go to the surfaces that were made up.
     """
 
     def __init__(
@@ -47,17 +55,17 @@ class RayBank:
         views: Sequence[SceneView],
         device: str,
         *,
-        filled: Sequence[SceneView] = (),
+        filled: Filled | None = None,
         filled_share: float = 0.0,
         sightings: Sightings | None = None,
     ) -> None:
-        self._sightings = sightings
+        self._sightings = [s for s in (sightings, filled.surfaces if filled else None) if s]
         cameras = [v.camera for v in views]
         self._known = Pixels.of(cameras, [v.image for v in views], [v.known for v in views], device)
         masked = any(v.hole.any() for v in views)
         self._filled, self._filled_share = None, filled_share
         if masked and filled:
-            self._filled = Pixels.of(cameras, [v.image for v in filled], [v.hole for v in views], device)
+            self._filled = Pixels.of(cameras, [v.image for v in filled.views], [v.hole for v in views], device)
             masked = False
         # The colours that ride along are blank: the scene holds nothing under the mask.
         self._masked = Pixels.of(cameras, [v.image for v in views], [v.hole for v in views], device) if masked else None
@@ -65,7 +73,9 @@ class RayBank:
         self._sizes = torch.tensor([[c.width, c.height] for c in cameras])
 
     def draw(self, count: int, *, patches: int, patch_size: int, generator: torch.Generator, sighted: int = 0) -> Batch:
-        """`count` random rays, `sighted` to sparse points, `patches` squares of neighbouring pixels of random views."""
+        """`count` random rays, `sighted` to sparse points and as many to made-up surfaces, `patches` squares of
+        neighbouring pixels of random views.
+        """
         share = len(self._masked) / (len(self._masked) + len(self._known)) if self._masked else 0.0
         hidden = round(count * share)
         made_up = round(count * self._filled_share) if self._filled else 0
@@ -77,11 +87,9 @@ class RayBank:
             target = torch.cat([target, colours])
         if self._masked and hidden:
             parts.append(self._masked.draw(hidden, generator)[0])
-        distance = target.new_empty(0)
-        if self._sightings and sighted:
-            toward = self._sightings.draw(sighted, generator)
-            parts.append(toward.rays)
-            distance = toward.distance
+        toward = [sightings.draw(sighted, generator) for sightings in self._sightings if sighted]
+        parts += [sightings.rays for sightings in toward]
+        distance = torch.cat([target.new_empty(0), *(sightings.distance for sightings in toward)])
         if patches:
             parts.append(self._patches(patches, patch_size, generator))
         return Batch(joined(parts), target, distance, (patches, patch_size, patch_size))

@@ -15,7 +15,7 @@ from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.optim import learning_rate, make_optimizer
 from inpaint3d.radiance.training import descend, proposal_anneal
-from inpaint3d.stages.joint_optimization.batch import RayBank
+from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
@@ -55,7 +55,7 @@ class Problem:
     seed: int
     fresh: bool
     diffuse_start: bool
-    filled: Sequence[SceneView] = ()
+    filled: Filled | None = None
 
     @cached_property
     def bank(self) -> RayBank:

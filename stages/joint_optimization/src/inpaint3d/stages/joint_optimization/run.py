@@ -16,9 +16,11 @@ from inpaint3d.radiance import backends
 from inpaint3d.radiance.artifact import write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field, save_field
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.scene.image_io import read_exr
 from inpaint3d.stages.joint_optimization.appearance import Recolour
+from inpaint3d.stages.joint_optimization.batch import Filled
 from inpaint3d.stages.joint_optimization.beforehand import (
     PictureGuide,
     ReferenceGuide,
@@ -108,9 +110,9 @@ def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Proble
         diffuse_start=config.diffuse_start,
     )
     field = load_field(initial.path(initial.metadata.weights), spec) if initial else RadianceField(spec, seed)
-    reasons, to_fill, filled = decisions.reasons, scene.train, ()
+    reasons, to_fill, filled = decisions.reasons, scene.train, None
     if config.estimator == "reference":
-        to_fill, filled, reasons["hole"] = complete(scene.train, field, initial, config, seed)
+        to_fill, filled, reasons["hole"] = complete(scene.train, field, initial, config, seed, device)
     elif initial and config.estimator not in WITHOUT_GUIDE and config.hole == "unseen":
         to_fill, reasons["hole"] = shrink_holes(scene.train, initial, config.witnesses)
     guide = load_guide(config, inputs, to_fill, seed, device)
@@ -133,16 +135,21 @@ def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Proble
 
 
 def complete(
-    views: Views, field: RadianceField, initial: Artifact[RadianceFieldArtifact] | None, config: Config, seed: int
-) -> tuple[Views, Views, str]:
-    """The views with nothing missing, in the mean appearance and each in its own, and how that was done, in words."""
+    views: Views,
+    field: RadianceField,
+    initial: Artifact[RadianceFieldArtifact] | None,
+    config: Config,
+    seed: int,
+    device: str,
+) -> tuple[Views, Filled, str]:
+    """The views with nothing missing in the mean appearance, what they show in the hole, and how that was done."""
     if initial is None:
         raise ConfigurationError(
             "estimator 'reference' carries pictures by the depth of a field of the known pixels; wire one to the input "
             "initial-field and set start: initial-field, or choose another estimator"
         )
     recolour = Recolour(field)
-    pictures, words = completed(
+    made, words = completed(
         views,
         depth_maps(views, initial),
         recolour,
@@ -151,11 +158,10 @@ def complete(
         variety=config.variety,
         seed=seed,
     )
-    alike = tuple(replace(v, image=picture) for v, picture in zip(views, pictures, strict=True))
-    own = tuple(
-        replace(v, image=recolour.from_mean(p, i)) for i, (v, p) in enumerate(zip(views, pictures, strict=True))
-    )
-    return alike, own, words
+    alike = tuple(replace(one.view, image=one.picture) for one in made)
+    own = tuple(replace(one.view, image=recolour.from_mean(one.picture, i)) for i, one in enumerate(made))
+    surfaces = [(one.coarse.camera, one.coarse.depth, one.coarse.hole) for one in made]
+    return alike, Filled(own, Sightings.of_surfaces(surfaces, device)), words
 
 
 def shrink_holes(views: Views, initial: Artifact[RadianceFieldArtifact], witnesses: int) -> tuple[Views, str]:

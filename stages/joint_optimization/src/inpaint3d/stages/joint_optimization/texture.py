@@ -1,10 +1,11 @@
 """A hole in one picture, filled by example: coarse to fine, each of its patches becomes like one of the known pixels.
 
 Space-time completion (Wexler, Shechtman and Irani 2007, doi:10.1109/TPAMI.2007.60) on one picture: votes of overlapping
-patches, weighted by likeness and by how near the known pixels are. The nearest patch is found by trying all of them: a
-hole that no photo shows is small. The coarsest level is peeled from outside as by Efros and Leung (1999,
-doi:10.1109/ICCV.1999.790383); from level to level goes where each pixel came from, not its colour, so that nothing
-blurs (as in PatchMatch, Barnes et al. 2009, doi:10.1145/1531326.1531330).
+patches, weighted by likeness and by how near the known pixels are. Coarse levels try every patch, the coarsest of all
+is peeled from outside as by Efros and Leung (1999, doi:10.1109/ICCV.1999.790383). From level to level goes where each
+pixel came from, not its colour, and fine levels look only near where their neighbours were copied from (PatchMatch,
+Barnes et al. 2009, doi:10.1145/1531326.1531330): what is copied stays in one piece, and sharp. Patches are compared by
+how lively they are too (Newson et al. 2014, doi:10.1137/140954933), or what is smooth, never far off, would win.
 """
 
 import cv2
@@ -23,13 +24,18 @@ EXAMPLES = 20_000
 """Patches that are tried at most, spread evenly over the source."""
 LEAST_SOURCE = 500
 """Pixels of the source that the coarsest level holds at least."""
-ROUNDS, FINEST_ROUNDS = 5, 3
+EXHAUSTIVE = 2
+"""Coarse levels at which every example is tried."""
+ROUNDS = 4
+"""Votes at each level."""
 FORGETTING = 1.3
 """A vote weighs less by this factor for each pixel between its patch and the known ones."""
+LIVELINESS, AROUND = 8.0, 9
+"""How many times a colour difference a difference in mean gradient counts; side of the square it is the mean over."""
 
-Picture = Float[Tensor, "h w 3"]
+Picture = Float[Tensor, "h w c"]  # colours, and how lively the surroundings are
 Region = Bool[Tensor, "h w"]
-Origins = Int64[Tensor, "h w"]
+Origins = Int64[Tensor, "h w"]  # the pixel that each pixel is a copy of; itself where nothing was copied
 
 
 def synthesised(
@@ -46,21 +52,24 @@ def synthesised(
     levels = 1
     while np.sqrt(hole.sum()) / 2**levels > PATCH and _area(known, _size(hole, levels)).sum() > LEAST_SOURCE:
         levels += 1
+    shown = np.concatenate([np.where(hole[..., None], 0, image), LIVELINESS * _mean_gradients(image, ~hole)], -1)
     made: tuple[Picture, Origins] | None = None
     for level in reversed(range(levels)):
         size = _size(hole, level)
         clear = _area(~hole, size)
-        blank = torch.from_numpy(clear < WHOLE)
-        start = _area(np.where(hole[..., None], 0, image), size) / np.maximum(clear, 1e-6)[..., None]
-        patches = Patches(blank, torch.from_numpy(_area(known, size) > WHOLE))
+        picture = torch.from_numpy(_area(shown, size) / np.maximum(clear, 1e-6)[..., None])
+        patches = Patches(torch.from_numpy(clear < WHOLE), torch.from_numpy(_area(known, size) > WHOLE))
         if len(patches.examples) == 0:
             continue
-        picture = torch.from_numpy(start)
-        picture = patches.peeled(picture, variety, generator) if made is None else _carried_up(picture, blank, *made)
-        made = patches.settled(picture, FINEST_ROUNDS if level == 0 else ROUNDS)
+        everywhere = made is None or level >= levels - EXHAUSTIVE
+        if made is None:
+            picture, origins = patches.peeled(picture, variety, generator), patches.themselves
+        else:
+            picture, origins = patches.carried_up(picture, *made)
+        made = patches.settled(picture, origins, generator, everywhere=everywhere)
     if made is None:
         return telea(image, hole)
-    return np.where(hole[..., None], made[0].numpy(), image).astype(np.float32)
+    return np.where(hole[..., None], made[0][..., :3].numpy(), image).astype(np.float32)
 
 
 def telea(image: NDArray[np.float32], hole: Mask, radius: float = 3.0) -> NDArray[np.float32]:
@@ -75,12 +84,14 @@ class Patches:
 
     def __init__(self, hole: Region, source: Region) -> None:
         self.hole, self.width = hole, hole.shape[1]
-        whole = -F.max_pool2d(-F.pad(source[None, None].float(), (PATCH // 2,) * 4), PATCH, 1)
-        usable = torch.nonzero(whole.flatten() > 0)[:, 0]
+        self.usable = ~_grown(F.pad(~source, (PATCH // 2,) * 4, value=True), PATCH)
+        self.usable = self.usable[PATCH // 2 : -(PATCH // 2), PATCH // 2 : -(PATCH // 2)].flatten()
+        usable = torch.nonzero(self.usable)[:, 0]
         count = min(EXAMPLES, len(usable))
         self.examples = usable[torch.arange(count) * len(usable) // max(1, count)]
         self.touching = torch.nonzero(_grown(hole, PATCH).flatten())[:, 0]
         self.inside = torch.nonzero(hole.flatten())[:, 0]
+        self.themselves = torch.arange(hole.numel()).view_as(hole)
         depth = cv2.distanceTransform(hole.numpy().astype(np.uint8), cv2.DIST_L2, 3)
         self.trust = FORGETTING ** -torch.from_numpy(depth).flatten()[self.touching]
 
@@ -97,9 +108,11 @@ class Patches:
         Only `valid` pixels of the patches are compared; None: all. With variety every difference counts as up to that
         share more, by chance.
         """
-        flat = _unfolded(picture)
+        flat, channels = _unfolded(picture), picture.shape[-1]
         examples, asked = flat[self.examples], flat[at]
-        weight = torch.ones_like(asked) if valid is None else _unfolded(valid[..., None].float())[at].repeat(1, 3)
+        weight = torch.ones_like(asked)
+        if valid is not None:
+            weight = _unfolded(valid[..., None].float())[at].repeat(1, channels)
         squares = examples.square()
         found, costs = [], []
         for q, w in zip((asked * weight).split(1024), weight.split(1024), strict=True):
@@ -112,10 +125,37 @@ class Patches:
             costs.append(cost.clamp(min=0) / w.sum(1).clamp(min=1))
         return torch.cat(found), torch.cat(costs)
 
+    def nearby(
+        self, picture: Picture, origins: Origins, generator: torch.Generator
+    ) -> tuple[Int64[Tensor, " n"], Float[Tensor, " n"]]:
+        """For each patch that touches the hole the best of what continues its own or a neighbour's origin, or lies a
+        pixel beside such a one; and their mean squared difference.
+        """
+        flat, asked = _unfolded(picture), _unfolded(picture)[self.touching]
+        height, width = self.hole.shape
+        y, x = self.touching // width, self.touching % width
+        best = self.touching.clone()
+        least = torch.full((len(best),), torch.inf)
+        for dy, dx in torch.cartesian_prod(torch.arange(-1, 2), torch.arange(-1, 2)):
+            near_y, near_x = (y + dy).clamp(0, height - 1), (x + dx).clamp(0, width - 1)
+            origin = origins[near_y, near_x]
+            for aside in (torch.zeros(2, len(y), dtype=torch.long), _steps_aside(len(y), generator)):
+                from_y = origin // width - (near_y - y) + aside[0]
+                from_x = origin % width - (near_x - x) + aside[1]
+                inside = (from_y >= 0) & (from_y < height) & (from_x >= 0) & (from_x < width)
+                tried = from_y.clamp(0, height - 1) * width + from_x.clamp(0, width - 1)
+                cost = (flat[tried] - asked).square().mean(1)
+                better = inside & self.usable[tried] & (cost < least)
+                best, least = torch.where(better, tried, best), torch.where(better, cost, least)
+        # Where no neighbour leads to an example, every example is asked.
+        if (lost := torch.nonzero(least.isinf())[:, 0]).numel():
+            best[lost], least[lost] = self.nearest(picture, self.touching[lost])
+        return best, least
+
     def peeled(self, picture: Picture, variety: float, generator: torch.Generator) -> Picture:
         """The hole filled from its border inwards, each pixel by the middle of a most alike example."""
         picture, missing = picture.clone(), self.hole.clone()
-        flat = picture.view(-1, 3)
+        flat = picture.view(-1, picture.shape[-1])
         while missing.any():
             border = missing & _grown(~missing, 3)
             at = torch.nonzero(border.flatten())[:, 0]
@@ -123,31 +163,56 @@ class Patches:
             missing &= ~border
         return picture
 
-    def settled(self, picture: Picture, rounds: int) -> tuple[Picture, Origins]:
-        """After some rounds of votes: the picture, and the pixel that each pixel of the hole is a copy of."""
-        for _ in range(rounds):
-            picture = self._voted(picture)
-        origins = torch.arange(self.hole.numel())
-        origins[self.inside] = self.nearest(picture, self.inside)[0]
-        return picture.reshape(-1, 3)[origins].view_as(picture), origins.view_as(self.hole)
+    def settled(
+        self, picture: Picture, origins: Origins, generator: torch.Generator, *, everywhere: bool
+    ) -> tuple[Picture, Origins]:
+        """After some rounds of votes: the picture, each pixel of the hole a copy, and where all were copied from.
 
-    def _voted(self, picture: Picture) -> Picture:
-        """Each pixel of the hole as the patches over it would have it, every one of them its nearest example."""
-        best, cost = self.nearest(picture, self.touching)
+        everywhere: every example is tried, and not only those that continue `origins`.
+        """
+        for turn in range(ROUNDS + 1):
+            best, cost = (
+                self.nearest(picture, self.touching) if everywhere else self.nearby(picture, origins, generator)
+            )
+            origins = self.themselves.flatten().index_copy(0, self.touching, best).view_as(self.hole)
+            if turn < ROUNDS:
+                picture = self._voted(picture, best, cost)
+        return self._copied(picture, origins), origins
+
+    def carried_up(self, picture: Picture, coarse: Picture, coarse_origins: Origins) -> tuple[Picture, Origins]:
+        """A finer level's first guess: each pixel a copy of what lies where its coarse pixel came from; and whence."""
+        (h, w), (ch, cw) = self.hole.shape, coarse_origins.shape
+        y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
+        cy, cx = y * ch // h, x * cw // w
+        origin = coarse_origins[cy, cx]
+        there_y = (origin // cw * h // ch + y - cy * h // ch).clamp(0, h - 1)
+        there_x = (origin % cw * w // cw + x - cx * w // cw).clamp(0, w - 1)
+        origins = there_y * w + there_x
+        # A copy of the hole itself, where sizes do not divide, is no example: the coarse colour stands in.
+        guess = torch.where(self.hole.flatten()[origins][..., None], coarse[cy, cx], self._copied(picture, origins))
+        return torch.where(self.hole[..., None], guess, picture), origins
+
+    def _copied(self, picture: Picture, origins: Origins) -> Picture:
+        flat = picture.reshape(-1, picture.shape[-1])
+        return torch.where(self.hole[..., None], flat[origins.flatten()].view_as(picture), picture)
+
+    def _voted(self, picture: Picture, best: Int64[Tensor, " n"], cost: Float[Tensor, " n"]) -> Picture:
+        """Each pixel of the hole as the patches over it would have it, every one of them its example."""
         # The kernel is as wide as most patches are off (Wexler et al., sec. 3.2).
         width = torch.quantile(cost, 0.75).clamp(min=1e-8)
         weight = (torch.exp(-cost / (2 * width)) * self.trust).clamp(min=1e-12)
+        channels = picture.shape[-1]
         votes = _unfolded(picture)[best] * weight[:, None]
         height, reach = len(self.hole), PATCH // 2
-        sums, total = picture.new_zeros(height * self.width, 3), picture.new_zeros(height * self.width)
+        sums, total = picture.new_zeros(height * self.width, channels), picture.new_zeros(height * self.width)
         row, column = self.touching // self.width, self.touching % self.width
-        for index, colours in enumerate(votes.view(len(best), 3, -1).unbind(2)):
+        for index, values in enumerate(votes.view(len(best), channels, -1).unbind(2)):
             y, x = row + index // PATCH - reach, column + index % PATCH - reach
             there = (y >= 0) & (y < height) & (x >= 0) & (x < self.width)
             at = (y * self.width + x)[there]
-            sums.index_add_(0, at, colours[there])
+            sums.index_add_(0, at, values[there])
             total.index_add_(0, at, weight[there])
-        flat = picture.reshape(-1, 3).clone()
+        flat = picture.reshape(-1, channels).clone()
         flat[self.inside] = sums[self.inside] / total[self.inside, None]
         return flat.view_as(picture)
 
@@ -156,20 +221,26 @@ WHOLE = 0.999
 """Share of a coarse pixel from which on it counts as covered; sums of float32 miss 1."""
 
 
-def _carried_up(picture: Picture, hole: Region, coarse: Picture, origins: Origins) -> Picture:
-    """A finer level's first guess: each pixel a copy of what lies where its coarse pixel came from."""
-    (h, w), (ch, cw) = hole.shape, origins.shape
-    y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
-    cy, cx = y * ch // h, x * cw // w
-    origin = origins[cy, cx]
-    there_y = (origin // cw * h // ch + y - cy * h // ch).clamp(0, h - 1)
-    there_x = (origin % cw * w // cw + x - cx * w // cw).clamp(0, w - 1)
-    # A copy of the hole itself, where sizes do not divide, is no example: the coarse colour stands in.
-    copied = torch.where(hole[there_y, there_x][..., None], coarse[cy, cx], picture[there_y, there_x])
-    return torch.where(hole[..., None], copied, picture)
+def _steps_aside(count: int, generator: torch.Generator) -> Int64[Tensor, "2 n"]:
+    return torch.randint(-1, 2, (2, count), generator=generator)
 
 
-def _unfolded(picture: Float[Tensor, "h w c"]) -> Float[Tensor, "n _"]:
+def _mean_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
+    """How much the known pixels around each pixel differ from the next one down and to the right, [h, w, 2]."""
+    grey = image @ np.array([0.299, 0.587, 0.114], np.float32)
+    means = []
+    for axis in (0, 1):
+        along, both = np.zeros_like(grey), np.zeros_like(grey)
+        here = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
+        next_one = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
+        both[here] = known[here] & known[next_one]
+        along[here] = np.abs(grey[next_one] - grey[here])
+        share = np.maximum(cv2.blur(both, (AROUND, AROUND)), 1e-6)
+        means.append(np.where(known, cv2.blur(along * both, (AROUND, AROUND)) / share, 0))
+    return np.stack(means, -1).astype(np.float32)
+
+
+def _unfolded(picture: Picture) -> Float[Tensor, "n _"]:
     """The patch around each pixel, channel by channel; the border goes on outside."""
     padded = F.pad(picture.permute(2, 0, 1)[None], (PATCH // 2,) * 4, mode="replicate")
     return F.unfold(padded, PATCH)[0].T

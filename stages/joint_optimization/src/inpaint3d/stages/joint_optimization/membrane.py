@@ -1,0 +1,34 @@
+"""A smooth surface over a gap in a map of numbers, spanned between what is known around it."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.stages.joint_optimization.scene import Mask
+
+ROUNDS = 100
+"""Relaxations at each size: what a coarser size leaves is smooth, and these see to the rest."""
+NEIGHBOURS = np.array([[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]])
+
+
+def membrane(values: NDArray[np.floating], known: Mask) -> NDArray[np.float64]:
+    """`values` [h, w] with each unknown cell at the mean of its four neighbours, `known` cells as they are.
+
+    The discrete Laplace equation, relaxed from coarse to fine; the border of the map goes on outside. Linear values
+    stay linear. 0 everywhere where nothing is known.
+    """
+    held = np.where(known, values, 0.0)
+    if known.all() or not known.any():
+        return held
+    height, width = known.shape
+    made = np.full_like(held, held[known].mean())
+    if max(height, width) > 2:
+        size = ((width + 1) // 2, (height + 1) // 2)
+        share = cv2.resize(known.astype(np.float64), size, interpolation=cv2.INTER_AREA)
+        mean = cv2.resize(held, size, interpolation=cv2.INTER_AREA) / np.maximum(share, 1e-9)
+        made = cv2.resize(membrane(mean, share > 0), (width, height), interpolation=cv2.INTER_LINEAR)
+    made = np.where(known, held, made)
+    for _ in range(ROUNDS):
+        around = cv2.filter2D(made, -1, NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
+        made = np.where(known, held, around)
+    return made
