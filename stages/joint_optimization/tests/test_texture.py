@@ -42,6 +42,21 @@ def test_detail_is_that_of_the_surround() -> None:
     assert apart.max() == 0
 
 
+def test_a_large_hole_is_as_lively_as_what_lies_around_it() -> None:
+    """Over three levels, at a size that halves to none of them: copies in one piece, of noise and not of the smooth."""
+    rng = np.random.default_rng(2)
+    image = np.full((151, 173, 3), 0.5, np.float32) + rng.normal(0, 0.1, (151, 173, 1)).astype(np.float32)
+    image[:60, :60] = 0.5
+    hole = np.zeros(image.shape[:2], bool)
+    hole[50:113, 55:126] = True
+    made = synthesised(np.where(hole[..., None], 0, image).astype(np.float32), hole, ~hole)
+    steps, known = np.abs(np.diff(made[..., 0], axis=1)), ~hole
+    known[:60, :60] = False
+    assert steps[hole[:, 1:] & hole[:, :-1]].mean() > 0.8 * steps[known[:, 1:] & known[:, :-1]].mean()
+    copied = np.isin(made[hole][:, 0], image[~hole][:, 0])
+    assert copied.all()
+
+
 def test_patches_come_from_the_source_alone() -> None:
     """Half of the picture is red, and only the other half may be copied."""
     image = np.random.default_rng(1).uniform(size=(*SHAPE, 3)).astype(np.float32)

@@ -52,12 +52,13 @@ def synthesised(
     levels = 1
     while np.sqrt(hole.sum()) / 2**levels > PATCH and _area(known, _size(hole, levels)).sum() > LEAST_SOURCE:
         levels += 1
-    shown = np.concatenate([np.where(hole[..., None], 0, image), LIVELINESS * _mean_gradients(image, ~hole)], -1)
+    shown = np.where(hole[..., None], 0, image), LIVELINESS * _mean_gradients(image, ~hole)
     made: tuple[Picture, Origins] | None = None
     for level in reversed(range(levels)):
         size = _size(hole, level)
         clear = _area(~hole, size)
-        picture = torch.from_numpy(_area(shown, size) / np.maximum(clear, 1e-6)[..., None])
+        means = np.concatenate([_area(part, size) for part in shown], -1)
+        picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None])
         patches = Patches(torch.from_numpy(clear < WHOLE), torch.from_numpy(_area(known, size) > WHOLE))
         if len(patches.examples) == 0:
             continue
