@@ -1,7 +1,7 @@
 """What fills a hole best: `make bench-joint [STATUE=FOLDER]`.
 
     python -m benchmarks.joint [--statue FOLDER] [--scenes SCENE ...] [--rows ROW ...] [--seeds N ...] [--quick]
-                               [--work DIR] [--out FILE]
+                               [--threads N] [--work DIR] [--out FILE]
 
 Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, prior and masked
 reconstruction through the stage joint-optimization, with three seeds of that stage. Rows, holes and the rule for the
@@ -10,13 +10,15 @@ default stand in rows.py.
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
 its checkpoint, and the file is written after every row. What a step of score distillation costs beyond its parts is
 measured each time, in a second or two (cost.py). Pictures of each row lie in --work/pictures, to be looked at.
-Figures of scenes and rows that are not asked for stay as they were; each has the key of the run that it is of.
+Figures of scenes and rows that are not asked for stay as they were; each has the key of the run that it is of. Two of
+these with different --scenes can run side by side (--threads).
 
 --statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
 small budget and one seed, to see that it works; its figures mean nothing.
 """
 
 import argparse
+import fcntl
 import json
 import os
 import shutil
@@ -72,8 +74,8 @@ QUICK = {
 class Bench:
     """One capture with what comes before the joint optimisation, made once."""
 
-    def __init__(self, scene: str, capture: Path, mask: Path, work: Path, *, quick: bool) -> None:
-        self.scene, self.work = scene, work
+    def __init__(self, scene: str, capture: Path, mask: Path, work: Path, *, quick: bool, threads: int) -> None:
+        self.scene, self.work, self.threads = scene, work, threads
         self.pipeline, self.store = Pipeline(REPOSITORY / "pipeline.yaml"), Store(work / "store")
         self.changes: dict[str, Parameters] = QUICK if quick else {}
         settings = [f"{node}.{n}={v}" for node, p in self.changes.items() for n, v in p.items()]
@@ -126,7 +128,7 @@ class Bench:
     def _run(self, node: str, changes: Parameters, inputs: dict[str, Any], seed: int) -> Record:
         """A stage as the scheduler would start it; at once where the store has its result."""
         parameters = resolved(self.pipeline, node, self.pipeline.parameters(node, None) | changes)
-        invocation = Invocation(parameters=parameters, inputs=inputs, seed=seed, threads=os.cpu_count() or 1)
+        invocation = Invocation(parameters=parameters, inputs=inputs, seed=seed, threads=self.threads)
         module = self.pipeline.stages[node].spec.module
         with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
             file.write(invocation.model_dump_json())
@@ -183,6 +185,7 @@ def main() -> None:
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
     parser.add_argument("--seeds", nargs="+", type=int, default=None, metavar="N")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="of a stage")
     parser.add_argument("--work", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=None)
     options = parser.parse_args()
@@ -194,43 +197,52 @@ def main() -> None:
     captures = {"demo": (DEMO / "capture", DEMO / "mask.yaml")} if "demo" in options.scenes else {}
     if options.statue is not None and "statue" in options.scenes:
         captures["statue"] = statue_capture(options.statue, work)
-    kept: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {}
-    if kept.get("quick", options.quick) != options.quick:
+    if (kept := read(out)) and kept["quick"] != options.quick:
         raise SystemExit(f"{out} is of a run {'with' if kept['quick'] else 'without'} --quick; give another --out")
-    measured: Measured = kept.get("measured", {})
-    step: dict[str, Any] = kept.get("sds_step", {})
     for scene, (capture, mask) in captures.items():
-        bench = Bench(scene, capture, mask, work, quick=options.quick)
-        if scene == "demo":
-            step = bench.sds_step()
-        rows = measured.setdefault(scene, {})
+        bench = Bench(scene, capture, mask, work, quick=options.quick, threads=options.threads)
+        step = bench.sds_step() if scene == "demo" else None
         for row in options.rows:
             for seed in seeds:
                 print(f"{scene}: {row}, seed {seed}", file=sys.stderr, flush=True)
-                figures = bench.measure(row, seed)
-                others = [run for run in rows.get(row, []) if run["seed"] != seed]
-                rows[row] = sorted([*others, figures], key=lambda run: run["seed"])
-                write(out, measured, step, quick=options.quick)
-    print(table(measured))
-    print(json.dumps(json.loads(out.read_text())["default"], indent=1))
+                add(out, scene, row, bench.measure(row, seed), step, quick=options.quick)
+    result = read(out)
+    print(table(result["measured"]))
+    print(json.dumps(result["default"], indent=1))
 
 
-def write(out: Path, measured: Measured, step: dict[str, Any], *, quick: bool) -> None:
-    """The whole file, with what the rule makes of the rows so far; step: what one of score distillation costs."""
-    best = chosen(measured)
-    result = {
-        "machine": this_machine().model_dump(mode="json"),
-        "quick": quick,
-        "holes": {scene: HOLES[scene] for scene in measured},
-        "rule": RULE,
-        "default": {"row": best, "shortfalls": shortfalls(measured, best) if best else []},
-        "sds_step": step,
-        "measured": measured,
-    }
+def read(out: Path) -> dict[str, Any]:
+    """What the file holds; empty where there is none."""
+    return json.loads(out.read_text()) if out.exists() else {}
+
+
+def add(out: Path, scene: str, row: str, figures: dict[str, Any], step: dict[str, Any] | None, *, quick: bool) -> None:
+    """Put a run into the file, and what the rule makes of all rows so far; step: a new cost of score distillation."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    staged = out.with_suffix(".new")
-    staged.write_text(json.dumps(result, indent=1) + "\n")
-    staged.replace(out)
+    folder = os.open(out.parent, os.O_RDONLY)
+    try:
+        # Another of these may be writing what it measured of another scene.
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        kept = read(out)
+        measured: Measured = kept.get("measured", {})
+        rows = measured.setdefault(scene, {})
+        others = [run for run in rows.get(row, []) if run["seed"] != figures["seed"]]
+        rows[row] = sorted([*others, figures], key=lambda run: run["seed"])
+        best = chosen(measured)
+        result = {
+            "machine": this_machine().model_dump(mode="json"),
+            "quick": quick,
+            "holes": {scene: HOLES[scene] for scene in measured},
+            "rule": RULE,
+            "default": {"row": best, "shortfalls": shortfalls(measured, best) if best else []},
+            "sds_step": step or kept.get("sds_step", {}),
+            "measured": measured,
+        }
+        staged = out.with_suffix(".new")
+        staged.write_text(json.dumps(result, indent=1) + "\n")
+        staged.replace(out)
+    finally:
+        os.close(folder)
 
 
 if __name__ == "__main__":
