@@ -1,12 +1,13 @@
-"""The heavy operations of a field, in two versions with the same signatures.
+"""The heavy operations of a field, in three versions with the same signatures.
 
-`reference` is readable torch and the truth; `native` holds the compiled CPU kernels, where they are installed.
+`reference` is readable torch and the truth; `native` holds the CPU's kernels, where they are installed; `compiled` is
+the reference through torch.compile, on accelerators where that works.
 """
 
 import importlib
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, Literal, Protocol, cast, runtime_checkable
+from typing import Any, Literal, Protocol, cast, get_args, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from torch import Tensor
 from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.backends.reference import Level
 
-Name = Literal["reference", "native"]
+Name = Literal["reference", "native", "compiled"]
 OPERATIONS = (
     "levels_of", "hash_encode", "mlp", "colours", "composite", "grid_histogram", "grid_learn", "resample", "unit_cube",
     "interlevel", "adam_step",
@@ -73,27 +74,28 @@ class Backend(Protocol):
 
 
 def select(device: torch.device | str, backend: Name | None = None) -> Backend:
-    """The module that computes on `device`: `backend` where it is named, else native on a CPU that has it.
+    """The module that computes on `device`: `backend` where it is named, else native on a CPU that has it, compiled on
+    an accelerator for which this machine can compile, and otherwise the reference.
 
     Raises ImportError where "native" is asked for and the kernels are not installed, ValueError for any other name.
     """
-    if backend not in (None, "reference", "native"):
-        raise ValueError(f"backend {backend!r} is unknown; use 'reference' or 'native'")
+    if backend not in (None, *get_args(Name)):
+        raise ValueError(f"backend {backend!r} is unknown; use one of {', '.join(get_args(Name))}")
     return _load(backend, torch.device(device).type)
 
 
 @cache
 def _load(backend: Name | None, device_type: str) -> Backend:
-    module: Any = reference
-    if backend == "native" or (backend is None and device_type == "cpu"):
+    if backend is None:
+        backend = "native" if device_type == "cpu" else "compiled"
         try:
-            module = importlib.import_module("inpaint3d.radiance.backends.native")
+            module: Any = importlib.import_module(f"{__name__}.{backend}")
         except ImportError:
-            if backend == "native":
-                raise
-    return cast(Backend, module)
+            return cast(Backend, reference)
+        return cast(Backend, module if backend == "native" or module.works(device_type) else reference)
+    return cast(Backend, importlib.import_module(f"{__name__}.{backend}"))
 
 
 def name_of(module: Backend) -> Name:
     """The name that `select` knows a module by."""
-    return "reference" if module is reference else "native"
+    return cast(Name, module.__name__.rpartition(".")[2])
