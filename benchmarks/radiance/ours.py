@@ -168,7 +168,7 @@ def main() -> None:
     parser.add_argument("--preset", default="standard")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rays", type=int, help="rate: rays a step; default: the preset's")
-    parser.add_argument("--backend", choices=("native", "reference"), help="rate: default: the fastest")
+    parser.add_argument("--backend", choices=("native", "reference", "compiled"), help="rate: default: the fastest")
     parser.add_argument("--steps", type=int, default=20, help="rate, growth: steps that count")
     parser.add_argument("--warmup", type=int, default=3, help="rate, growth: steps before them")
     parser.add_argument("--marks", type=float, nargs="*", default=[], help="curve: CPU seconds of whole pictures")
