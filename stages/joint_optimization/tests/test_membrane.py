@@ -28,3 +28,12 @@ def test_nothing_to_span() -> None:
     one = np.zeros((5, 3), bool)
     one[4, 2] = True
     np.testing.assert_allclose(membrane(np.where(one, 7.0, 0.0), one), np.full((5, 3), 7.0))
+
+
+def test_a_bent_surface_is_found_by_its_bend() -> None:
+    """Poisson's equation: of a surface that is no plane, from its border and its Laplacian."""
+    surface = 1e-3 * X**2 + np.sin(Y / 15) * np.cos(X / 11)
+    padded = np.pad(surface, 1, mode="edge")
+    bend = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - 4 * surface
+    made = membrane(np.where(KNOWN, surface, 99.0), KNOWN, bend)
+    assert np.abs(made - surface).max() < 0.02 * np.ptp(surface[~KNOWN])

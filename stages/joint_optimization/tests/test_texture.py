@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inpaint3d.stages.joint_optimization.texture import PATCH, synthesised, telea
+from inpaint3d.stages.joint_optimization.texture import PATCH, blended, copied, synthesised, telea
 
 SHAPE = (60, 72)
 
@@ -21,6 +21,12 @@ def stripes() -> np.ndarray:
     return np.stack([wave, 1 - wave, 0.5 * wave], -1)
 
 
+def copies(image: np.ndarray, hole: np.ndarray, source: np.ndarray) -> np.ndarray:
+    made = copied(np.where(hole[..., None], 0, image).astype(np.float32), hole, source)
+    assert made is not None
+    return made[0]
+
+
 def test_a_pattern_goes_on() -> None:
     """Stripes are continued, edge for edge, where a smooth filling leaves grey."""
     image, hole = stripes(), hole_in_the_middle()
@@ -35,7 +41,7 @@ def test_detail_is_that_of_the_surround() -> None:
     """Noise has nothing to match, yet what is copied keeps its spread."""
     image = np.random.default_rng(0).uniform(size=(*SHAPE, 3)).astype(np.float32)
     hole = hole_in_the_middle()
-    made = synthesised(np.where(hole[..., None], 0, image).astype(np.float32), hole, ~hole)
+    made = copies(image, hole, ~hole)
     assert 0.8 < made[hole].std() / image[~hole].std() < 1.2
     # Every pixel of it is a pixel of the source.
     apart = np.abs(made[hole][:, None] - image[~hole][None]).max(-1).min(1)
@@ -49,12 +55,11 @@ def test_a_large_hole_is_as_lively_as_what_lies_around_it() -> None:
     image[:60, :60] = 0.5
     hole = np.zeros(image.shape[:2], bool)
     hole[50:113, 55:126] = True
-    made = synthesised(np.where(hole[..., None], 0, image).astype(np.float32), hole, ~hole)
+    made = copies(image, hole, ~hole)
     steps, known = np.abs(np.diff(made[..., 0], axis=1)), ~hole
     known[:60, :60] = False
     assert steps[hole[:, 1:] & hole[:, :-1]].mean() > 0.8 * steps[known[:, 1:] & known[:, :-1]].mean()
-    copied = np.isin(made[hole][:, 0], image[~hole][:, 0])
-    assert copied.all()
+    assert np.isin(made[hole][:, 0], image[~hole][:, 0]).all()
 
 
 def test_patches_come_from_the_source_alone() -> None:
@@ -64,7 +69,7 @@ def test_patches_come_from_the_source_alone() -> None:
     hole = hole_in_the_middle()
     source = ~hole
     source[:, :36] = False
-    made = synthesised(np.where(hole[..., None], 0, image).astype(np.float32), hole, source)
+    made = copies(image, hole, source)
     palette = image[source]
     assert np.abs(made[hole][:, None] - palette[None]).max(-1).min(1).max() == 0
 
@@ -75,6 +80,21 @@ def test_known_pixels_stay_and_the_hole_is_never_looked_at() -> None:
     made = synthesised(image, hole, ~hole)
     np.testing.assert_array_equal(made[~hole], image[~hole])
     np.testing.assert_array_equal(made, synthesised(marked, hole, ~hole))
+
+
+def test_what_is_copied_from_the_light_into_shade_is_darkened() -> None:
+    """Checks under a light that falls off: copied as they are from the lit side, they are those of the shaded one."""
+    y, x = np.mgrid[:60, :96]
+    checks = np.where((x // 4 + y // 4) % 2, 0.9, 0.45)
+    image = (checks * np.exp(-x / 60))[..., None].repeat(3, -1).astype(np.float32)
+    hole = np.zeros(image.shape[:2], bool)
+    hole[20:40, 56:80] = True
+    origins = np.arange(image[..., 0].size).reshape(hole.shape)
+    origins[hole] -= 40
+    pieces = np.where(hole[..., None], image.reshape(-1, 3)[origins], image)
+    before, after = (np.abs(some - image)[hole].mean() for some in (pieces, blended(pieces, origins, hole)))
+    assert before > 0.15
+    assert after < 0.2 * before
 
 
 @pytest.mark.parametrize("side", [0, PATCH - 1])

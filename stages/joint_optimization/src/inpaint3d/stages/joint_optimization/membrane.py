@@ -11,24 +11,30 @@ ROUNDS = 100
 NEIGHBOURS = np.array([[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]])
 
 
-def membrane(values: NDArray[np.floating], known: Mask) -> NDArray[np.float64]:
+def membrane(
+    values: NDArray[np.floating], known: Mask, bend: NDArray[np.floating] | None = None
+) -> NDArray[np.float64]:
     """`values` [h, w] with each unknown cell at the mean of its four neighbours, `known` cells as they are.
 
     The discrete Laplace equation, relaxed from coarse to fine; the border of the map goes on outside. Linear values
-    stay linear. 0 everywhere where nothing is known.
+    stay linear. 0 everywhere where nothing is known. bend [h, w]: Poisson's equation instead, by how much the four
+    neighbours of an unknown cell exceed it in sum.
     """
     held = np.where(known, values, 0.0)
     if known.all() or not known.any():
         return held
+    bend = np.zeros_like(held) if bend is None else np.where(known, 0.0, bend)
     height, width = known.shape
     made = np.full_like(held, held[known].mean())
     if max(height, width) > 2:
         size = ((width + 1) // 2, (height + 1) // 2)
         share = cv2.resize(known.astype(np.float64), size, interpolation=cv2.INTER_AREA)
         mean = cv2.resize(held, size, interpolation=cv2.INTER_AREA) / np.maximum(share, 1e-9)
-        made = cv2.resize(membrane(mean, share > 0), (width, height), interpolation=cv2.INTER_LINEAR)
+        # A cell of four has twice the side: differences of second order grow by four.
+        coarse_bend = 4 * cv2.resize(bend, size, interpolation=cv2.INTER_AREA)
+        made = cv2.resize(membrane(mean, share > 0, coarse_bend), (width, height), interpolation=cv2.INTER_LINEAR)
     made = np.where(known, held, made)
     for _ in range(ROUNDS):
         around = cv2.filter2D(made, -1, NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
-        made = np.where(known, held, around)
+        made = np.where(known, held, around - bend / 4)
     return made

@@ -185,7 +185,8 @@ def _fill_by_example(one: Completed, variety: float, seed: int) -> None:
         rows, columns = (slice(max(0, a.min() - GAP), a.max() + 1 + GAP) for a in np.nonzero(gap | source))
         box = (rows, columns)
         colours = one.picture.copy()
-        colours[box] = synthesised(one.picture[box], gap[box], source[box], variety=variety, seed=seed)
+        blank = one.missing | ~(one.view.known | one.view.hole)
+        colours[box] = synthesised(one.picture[box], blank[box], source[box], variety=variety, seed=seed)
         one.fill(gap, colours)
 
 

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from inpaint3d.stages.joint_optimization.membrane import membrane
 from inpaint3d.stages.joint_optimization.scene import Mask
 
 PATCH = 7
@@ -30,6 +31,8 @@ ROUNDS = 4
 """Votes at each level."""
 FORGETTING = 1.3
 """A vote weighs less by this factor for each pixel between its patch and the known ones."""
+DARK = 0.05
+"""What colours are raised by before their logarithm is taken."""
 LIVELINESS, AROUND = 8.0, 9
 """How many times a colour difference a difference in mean gradient counts; side of the square it is the mean over."""
 
@@ -41,11 +44,22 @@ Origins = Int64[Tensor, "h w"]  # the pixel that each pixel is a copy of; itself
 def synthesised(
     image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
 ) -> NDArray[np.float32]:
-    """`image` [h, w, 3] with `hole` filled from patches that lie wholly in `source`; both [h, w] and disjoint.
+    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`; both [h, w] and disjoint.
 
     What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
     holds no whole patch the hole is filled by Telea's method. variety: at the coarsest level any patch may be taken
     that is by at most this share less alike than the best; which, `seed` says. The same arguments give the same bytes.
+    """
+    made = copied(image, hole, source, variety=variety, seed=seed)
+    return telea(image, hole) if made is None else blended(*made, hole)
+
+
+def copied(
+    image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
+) -> tuple[NDArray[np.float32], NDArray[np.int64]] | None:
+    """`image` with each pixel of the hole a copy of one of the source, and which one [h, w]: y * w + x.
+
+    None where the source holds no whole patch. Arguments as of `synthesised`.
     """
     generator = torch.Generator().manual_seed(seed)
     known = source & ~hole
@@ -69,8 +83,33 @@ def synthesised(
             picture, origins = patches.carried_up(picture, *made)
         made = patches.settled(picture, origins, generator, everywhere=everywhere)
     if made is None:
-        return telea(image, hole)
-    return np.where(hole[..., None], made[0][..., :3].numpy(), image).astype(np.float32)
+        return None
+    picture, origins = made
+    return np.where(hole[..., None], picture[..., :3].numpy(), image).astype(np.float32), origins.numpy()
+
+
+def blended(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask) -> NDArray[np.float32]:
+    """The copies in the hole with the differences that they have where they come from, joined to what lies around.
+
+    Poisson blending (Perez, Gangnet and Blake 2003, doi:10.1145/882262.882269) of all pieces at once, in logarithms: a
+    piece from the light that is copied into shade becomes darker by a factor, and seams between pieces close.
+    """
+    light = np.log(picture.astype(np.float64) + DARK)
+    height, width = hole.shape
+    from_y, from_x = origins // width, origins % width
+    bend = np.zeros_like(light)
+    for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        beside = light[(from_y + dy).clip(0, height - 1), (from_x + dx).clip(0, width - 1)] - light[from_y, from_x]
+        # The neighbour knows the same difference from the other side, where it is a copy too.
+        y, x = np.mgrid[dy : height + dy, dx : width + dx]
+        inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+        y, x = y.clip(0, height - 1), x.clip(0, width - 1)
+        back_y, back_x = (from_y[y, x] - dy).clip(0, height - 1), (from_x[y, x] - dx).clip(0, width - 1)
+        theirs = light[from_y[y, x], from_x[y, x]] - light[back_y, back_x]
+        both = np.where(hole[y, x][..., None], (beside + theirs) / 2, beside)
+        bend += np.where(inside[..., None], both, 0)
+    spanned = np.stack([membrane(light[..., channel], ~hole, bend[..., channel]) for channel in range(3)], -1)
+    return np.where(hole[..., None], (np.exp(spanned) - DARK).clip(0, 1), picture).astype(np.float32)
 
 
 def telea(image: NDArray[np.float32], hole: Mask, radius: float = 3.0) -> NDArray[np.float32]:
