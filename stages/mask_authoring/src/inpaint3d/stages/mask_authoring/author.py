@@ -23,7 +23,7 @@ from inpaint3d.stages.mask_authoring.carry import Carrying, carry
 from inpaint3d.stages.mask_authoring.cloud import lift, splat
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.hull import carve
-from inpaint3d.stages.mask_authoring.morphology import close, fill_holes, grow
+from inpaint3d.stages.mask_authoring.morphology import close, fill_holes, grow, without_specks
 from inpaint3d.stages.mask_authoring.requests import find_view, object_prompts, scribble_path
 from inpaint3d.stages.mask_authoring.scribble import draw, random_path
 from inpaint3d.stages.mask_authoring.segment import segment
@@ -35,6 +35,7 @@ VolumeRequest = SphereRequest | BoxRequest | OutpaintRequest
 Request = VolumeRequest | ObjectRequest | ScribbleRequest | ImportedRequest
 
 CLOSING = 0.01  # of the shorter side
+SPECKS = 0.02  # parts of an object's mask below this share of its largest are errors of depth
 HOLES = 0.05  # enclosed gaps up to this share of the mask are filled
 KEPT = 0.3  # of a pixel's neighbourhood: upsampled masks lean to too much, since a rim left over spoils a removal
 
@@ -96,7 +97,8 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
     hull = carve(small, carried, voxels=config.voxels, agreement=config.agreement, tolerance=config.depth_tolerance)
     masks = []
     for view, mask in zip(scene.depth_views, carried, strict=True):
-        masks.append(_finished(splat(view, hull, config.depth_tolerance) | _enlarged(mask, view), dilate))
+        shown = splat(view, hull, config.depth_tolerance) | _enlarged(mask, view)
+        masks.append(_finished(without_specks(shown, SPECKS), dilate))
     seeds = " and ".join(n for n, given in (("points", request.points), ("a box", request.box)) if given)
     refined = ", segmented again in each view" if config.refine else ""
     return Authored(
@@ -104,7 +106,9 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
         method=f"GrabCut on colour and depth seeded by {seeds} in {request.view}, reprojected with field depth and "
         f"z-test{refined}, made consistent by a voxel hull",
         masks=masks,
-        truth_masks=[_finished(splat(v, hull, config.depth_tolerance), dilate) for v in scene.truth],
+        truth_masks=[
+            _finished(without_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
+        ],
     )
 
 

@@ -1,4 +1,4 @@
-"""Closing, growing and shrinking of masks, in pixels."""
+"""Closing, growing, shrinking and cleaning of masks, in pixels."""
 
 import cv2
 import numpy as np
@@ -47,3 +47,10 @@ def fill_holes(mask: Bools, largest: float) -> Bools:
         and stats[i, cv2.CC_STAT_TOP] + stats[i, cv2.CC_STAT_HEIGHT] < height
     ]
     return mask | np.isin(labels, inner)
+
+
+def without_specks(mask: Bools, smallest: float) -> Bools:
+    """The parts of at least `smallest` times the largest part's area."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    return np.isin(labels, 1 + np.flatnonzero(areas >= smallest * areas.max())) if count > 1 else mask.copy()
