@@ -97,6 +97,17 @@ def test_what_is_copied_from_the_light_into_shade_is_darkened() -> None:
     assert after < 0.2 * before
 
 
+def test_a_rim_that_the_mask_left_darkens_nothing() -> None:
+    """Grey copies beside a black line, the rest of their surround being as grey as they are."""
+    picture = np.full((40, 60, 3), 0.6, np.float32)
+    hole = np.zeros(picture.shape[:2], bool)
+    hole[10:30, 20:40] = True
+    picture[10:30, 18:20] = 0.02
+    origins = np.arange(hole.size).reshape(hole.shape)
+    origins[hole] += 22
+    np.testing.assert_allclose(blended(picture, origins, hole)[hole], 0.6, atol=1e-4)
+
+
 @pytest.mark.parametrize("side", [0, PATCH - 1])
 def test_without_a_whole_patch_to_copy_the_hole_is_filled_smoothly(side: int) -> None:
     image, hole = stripes(), hole_in_the_middle()

@@ -33,6 +33,8 @@ FORGETTING = 1.3
 """A vote weighs less by this factor for each pixel between its patch and the known ones."""
 DARK = 0.05
 """What colours are raised by before their logarithm is taken."""
+EDGE = 0.7
+"""A logarithm by which a copy misses what lies around: more is another thing there, and not another light."""
 LIVELINESS, AROUND = 8.0, 9
 """How many times a colour difference a difference in mean gradient counts; side of the square it is the mean over."""
 
@@ -92,7 +94,8 @@ def blended(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask
     """The copies in the hole with the differences that they have where they come from, joined to what lies around.
 
     Poisson blending (Perez, Gangnet and Blake 2003, doi:10.1145/882262.882269) of all pieces at once, in logarithms: a
-    piece from the light that is copied into shade becomes darker by a factor, and seams between pieces close.
+    piece from the light that is copied into shade becomes darker by a factor, and seams between pieces close. Where
+    the surround is another thing (a rim that the mask left) there is nothing to join, and copies stay as they are.
     """
     light = np.log(picture.astype(np.float64) + DARK)
     height, width = hole.shape
@@ -106,10 +109,13 @@ def blended(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask
         y, x = y.clip(0, height - 1), x.clip(0, width - 1)
         back_y, back_x = (from_y[y, x] - dy).clip(0, height - 1), (from_x[y, x] - dx).clip(0, width - 1)
         theirs = light[from_y[y, x], from_x[y, x]] - light[back_y, back_x]
-        both = np.where(hole[y, x][..., None], (beside + theirs) / 2, beside)
-        bend += np.where(inside[..., None], both, 0)
-    spanned = np.stack([membrane(light[..., channel], ~hole, bend[..., channel]) for channel in range(3)], -1)
-    return np.where(hole[..., None], (np.exp(spanned) - DARK).clip(0, 1), picture).astype(np.float32)
+        copy = hole[y, x][..., None]
+        off = light[y, x] - light - np.where(copy, (beside + theirs) / 2, beside)
+        edge = ~copy & (np.abs(off).max(-1, keepdims=True) > EDGE)
+        bend -= np.where(inside[..., None] & ~edge, off, 0)
+    nothing = np.zeros(hole.shape)
+    change = np.stack([membrane(nothing, ~hole, bend[..., channel]) for channel in range(3)], -1)
+    return np.where(hole[..., None], (np.exp(light + change) - DARK).clip(0, 1), picture).astype(np.float32)
 
 
 def telea(image: NDArray[np.float32], hole: Mask, radius: float = 3.0) -> NDArray[np.float32]:
