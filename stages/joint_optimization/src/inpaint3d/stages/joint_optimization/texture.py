@@ -130,8 +130,8 @@ class Patches:
 
     def __init__(self, hole: Region, source: Region) -> None:
         self.hole, self.width = hole, hole.shape[1]
-        self.usable = ~_grown(F.pad(~source, (PATCH // 2,) * 4, value=True), PATCH)
-        self.usable = self.usable[PATCH // 2 : -(PATCH // 2), PATCH // 2 : -(PATCH // 2)].flatten()
+        beyond = F.pad((~source)[None, None].float(), (PATCH // 2,) * 4, value=1.0)
+        self.usable = F.max_pool2d(beyond, PATCH, 1).flatten() == 0
         usable = torch.nonzero(self.usable)[:, 0]
         count = min(EXAMPLES, len(usable))
         self.examples = usable[torch.arange(count) * len(usable) // max(1, count)]
@@ -177,7 +177,8 @@ class Patches:
         """For each patch that touches the hole the best of what continues its own or a neighbour's origin, or lies a
         pixel beside such a one; and their mean squared difference.
         """
-        flat, asked = _unfolded(picture), _unfolded(picture)[self.touching]
+        flat = _unfolded(picture)
+        asked = flat[self.touching]
         height, width = self.hole.shape
         y, x = self.touching // width, self.touching % width
         best = self.touching.clone()
