@@ -62,7 +62,7 @@ def compute(pipeline: Pipeline, store: Store, scene: int) -> None:
 
 
 def main(scenes: int) -> None:
-    pipeline = Pipeline(Path("pipeline.yaml"))
+    pipeline = Pipeline(Path("pipeline.yaml")).under(None)
     with tempfile.TemporaryDirectory() as folder:
         store = MemoryStore(Path(folder))
         for scene in range(scenes):

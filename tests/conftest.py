@@ -48,9 +48,9 @@ class Cli:
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=self.environment(), cwd=REPOSITORY,
         )  # fmt: skip
 
-    def statuses(self, *arguments: str) -> dict[str, str]:
-        """Stage -> state of the last run of `tiny`."""
-        report = json.loads(self("show", "tiny", "--json").stdout)
+    def statuses(self, name: str = "tiny") -> dict[str, str]:
+        """Stage -> state of the last run of a name."""
+        report = json.loads(self("show", name, "--json").stdout)
         return {s["node"]: s["status"] for s in report["stages"]}
 
 

@@ -3,13 +3,14 @@
     python -m benchmarks.joint [--statue FOLDER] [--scenes SCENE ...] [--rows ROW ...] [--seeds N ...] [--quick]
                                [--threads N] [--work DIR] [--out FILE]
 
-Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, prior and masked
-reconstruction through the stage joint-optimization, with three seeds of that stage. Rows, holes and the rule for the
-default stand in rows.py.
+Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, masked
+reconstruction and, where it asks one, prior through the stage joint-optimization, with three seeds of that stage. Rows,
+holes and the rule for the default stand in rows.py.
 
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
-its checkpoint, and the file is written after every row. What a step of score distillation costs beyond its parts is
-measured each time, in a second or two (cost.py). Pictures of each row lie in --work/pictures, to be looked at.
+its checkpoint, and the file is written after every row, one seed of all rows before the next. What a step of score
+distillation costs beyond its parts is measured too, in a second or two (cost.py). Pictures of each row lie in
+--work/pictures, to be looked at.
 Figures of scenes and rows that are not asked for stay as they were; each has the key of the run that it is of. Two of
 these with different --scenes can run side by side (--threads).
 
@@ -40,6 +41,7 @@ from benchmarks.joint.rows import (
     TRUTH_FIRST,
     Measured,
     Parameters,
+    asks_a_prior,
     chosen,
     mean,
     parameters_of,
@@ -60,6 +62,7 @@ RESULTS = REPOSITORY / "benchmarks" / "results" / "joint.json"
 WORK = REPOSITORY / ".cache" / "bench-joint"
 DEMO = REPOSITORY / "examples" / "demo"
 JOINT, EVALUATION = "joint-optimization", "evaluation"
+PRIOR = "diffusion-training.diffusion-prior"
 QUICK = {
     "nerf-pretraining": {"steps": 60, "view_side": 80},
     "diffusion-training": {"steps": 4},
@@ -80,25 +83,20 @@ class Bench:
         self.changes: dict[str, Parameters] = QUICK if quick else {}
         settings = [f"{node}.{n}={v}" for node, p in self.changes.items() for n, v in p.items()]
         self.outputs: dict[str, str] = {}
-        for until in ("masked-reconstruction", "diffusion-training"):
-            subprocess.run(
-                [
-                    str(Path(sys.executable).parent / "inpaint3d"), "run", str(capture), "--mask", str(mask),
-                    "--name", scene, "--until", until, "--store", str(work / "store"), "--runs-dir", str(work / "runs"),
-                    *(word for setting in settings for word in ("--set", setting)),
-                ],
-                cwd=REPOSITORY, check=True,
-            )  # fmt: skip
-            for node in History(self.store).latest(scene).nodes:
-                self.outputs |= {f"{node.node}.{port}": digest for port, digest in node.outputs.items()}
+        self._command = [
+            str(Path(sys.executable).parent / "inpaint3d"), "run", str(capture), "--mask", str(mask), "--name", scene,
+            "--store", str(work / "store"), "--runs-dir", str(work / "runs"),
+            *(word for setting in settings for word in ("--set", setting)),
+        ]  # fmt: skip
+        self._make("masked-reconstruction")
 
     def measure(self, row: str, seed: int) -> dict[str, Any]:
         """Figures of a row with a seed, and what the stage took."""
         paper = self.pipeline.parameters(JOINT, "paper")
         changes = parameters_of(row, paper) | self.changes.get(JOINT, {})
-        joint = self._run(JOINT, changes, self._inputs(JOINT), seed)
+        joint = self._run(JOINT, changes, self._inputs(JOINT, prior=asks_a_prior(row)), seed)
         field = joint.outputs["radiance-field"]
-        inputs = self._inputs(EVALUATION) | {"radiance-fields": [field]}
+        inputs = self._inputs(EVALUATION, prior=False) | {"radiance-fields": [field]}
         scored = self._run(EVALUATION, self.changes.get(EVALUATION, {}), inputs, 0)
         evaluation = self.store.open(scored.outputs["evaluation"], Evaluation)
         shown = self.work / "pictures" / self.scene / f"{row}-{seed}"
@@ -117,12 +115,23 @@ class Bench:
     def sds_step(self) -> dict[str, Any]:
         """What a step of score distillation costs here, in CPU seconds (cost.py)."""
         stage = self.pipeline.stages[JOINT]
-        return sds_step(Inputs(self.store, stage, self._inputs(JOINT)), guidance=1.0)
+        return sds_step(Inputs(self.store, stage, self._inputs(JOINT, prior=True)), guidance=1.0)
 
-    def _inputs(self, node: str) -> dict[str, Any]:
+    def _make(self, until: str) -> None:
+        subprocess.run([*self._command, "--until", until], cwd=REPOSITORY, check=True)
+        for node in History(self.store).latest(self.scene).nodes:
+            self.outputs |= {f"{node.node}.{port}": digest for port, digest in node.outputs.items()}
+
+    def _inputs(self, node: str, *, prior: bool) -> dict[str, Any]:
+        """Port -> digest. A prior that nobody asks is not wired, so that another one changes nothing."""
+        if prior and PRIOR not in self.outputs:
+            self._make("diffusion-training")
         wired = self.pipeline.references(node)
         ports = self.pipeline.stages[node].spec.inputs
-        found = {p: [self.outputs[r] for r in rs if r in self.outputs] for p, rs in wired.items()}
+        found = {
+            port: [self.outputs[r] for r in references if r in self.outputs and (prior or r != PRIOR)]
+            for port, references in wired.items()
+        }
         return {port: ds if ports[port].list else ds[0] for port, ds in found.items() if ds}
 
     def _run(self, node: str, changes: Parameters, inputs: dict[str, Any], seed: int) -> Record:
@@ -201,9 +210,9 @@ def main() -> None:
         raise SystemExit(f"{out} is of a run {'with' if kept['quick'] else 'without'} --quick; give another --out")
     for scene, (capture, mask) in captures.items():
         bench = Bench(scene, capture, mask, work, quick=options.quick, threads=options.threads)
-        step = bench.sds_step() if scene == "demo" else None
-        for row in options.rows:
-            for seed in seeds:
+        step = bench.sds_step() if scene == "demo" and any(map(asks_a_prior, options.rows)) else None
+        for seed in seeds:
+            for row in options.rows:
                 print(f"{scene}: {row}, seed {seed}", file=sys.stderr, flush=True)
                 add(out, scene, row, bench.measure(row, seed), step, quick=options.quick)
     result = read(out)

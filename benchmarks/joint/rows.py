@@ -4,6 +4,8 @@ import math
 import statistics
 from typing import Any
 
+from inpaint3d.stages.joint_optimization.config import WITHOUT_PRIOR
+
 Parameters = dict[str, Any]
 Figures = dict[str, float]
 
@@ -74,6 +76,11 @@ def parameters_of(row: str, paper: Parameters) -> Parameters:
     if row in PAPER_ROWS:
         return {name: paper[name] for name in PAPER_NAMES} | PAPER_ROWS[row]
     return (BASELINES | ESTIMATORS)[row]
+
+
+def asks_a_prior(row: str) -> bool:
+    """Whether a row's estimator needs a diffusion prior."""
+    return row in PAPER_ROWS or (BASELINES | ESTIMATORS)[row]["estimator"] not in WITHOUT_PRIOR
 
 
 def mean(runs: list[Figures], name: str) -> float:

@@ -32,6 +32,8 @@ from phone import (
 HERE = Path(__file__).resolve().parent
 STRATA = 4  # samples of one pass: STRATA^2 in a jittered grid over the pixel
 DEPTH_EVERY = 10
+FAR = 100.0
+"""Distance of what a ray that lands nowhere sees, metres."""
 
 
 def jitter(rng: np.random.Generator, lens: Lens) -> np.ndarray:
@@ -48,10 +50,12 @@ def rays(shot: Shot, offsets: np.ndarray, lens: Lens = PHONE) -> mi.RayDifferent
 
 
 def first_surface(scene: mi.Scene, ray: mi.RayDifferential3f) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diffuse colour [n, 3], normal [n, 3] and distance [n] where each ray first lands."""
+    """Diffuse colour [n, 3], normal [n, 3] and distance [n] where each ray first lands; none: no normal, FAR away."""
     hit = scene.ray_intersect(ray)
     colour = hit.bsdf().eval_diffuse_reflectance(hit, hit.is_valid())
-    return np.array(colour).T, np.array(hit.n).T, np.array(hit.t)
+    # A ray may slip through the seam of two walls, and a lathe has no normal at its poles.
+    normal = np.array(hit.n).T
+    return np.array(colour).T, np.where(np.isfinite(normal), normal, 0), np.minimum(np.array(hit.t), FAR)
 
 
 def path_trace(scene: mi.Scene, shot: Shot, spp: int, seed: int, lens: Lens = PHONE) -> np.ndarray:

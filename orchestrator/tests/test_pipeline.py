@@ -88,6 +88,39 @@ def test_incompatible_schema_majors_are_found_when_the_plan_is_made(tmp_path):
         Pipeline(write(tmp_path, GOOD, a=INGEST, b=newer))
 
 
+CHOSEN = (
+    GOOD + "    - {name: c, stage: b, presets: [rich], seed: 1, inputs: {capture: a.capture}}\n"
+    "    - {name: d, stage: d, inputs: {captures: [b.posed-capture, c.posed-capture]}}\n"
+    "  presets: {rich: {c: {}}, plain: {}}\n"
+)
+READS_MANY = ("captures: {schema: posed-capture@1, list: true}", "capture: {schema: capture@1.0}")
+
+
+def test_a_node_is_there_under_its_presets_alone(tmp_path):
+    pipeline = Pipeline(write(tmp_path, CHOSEN, a=INGEST, b=POSES, d=READS_MANY))
+    for preset in (None, "plain"):
+        chosen = pipeline.under(preset)
+        assert chosen.order == ["a", "b", "d"]
+        assert chosen.references("d") == {"captures": ["b.posed-capture"]}
+        assert chosen.upstream("d") == {"b"}
+    rich = pipeline.under("rich")
+    assert set(rich.order) == {"a", "b", "c", "d"}
+    assert rich.upstream("d") == {"b", "c"}
+    assert rich.nodes["c"].seed == 1
+
+
+def test_what_a_node_needs_is_there_under_all_its_presets(tmp_path):
+    nodes = CHOSEN.replace("[b.posed-capture, c.posed-capture]", "c.posed-capture")
+    reads_one = ("captures: {schema: posed-capture@1}", READS_MANY[1])
+    with pytest.raises(ConfigurationError, match=r"c\.posed-capture: preset \(none\) has d, but not c"):
+        Pipeline(write(tmp_path, nodes, a=INGEST, b=POSES, d=reads_one))
+
+
+def test_a_node_of_a_preset_that_is_not_there(tmp_path):
+    with pytest.raises(ConfigurationError, match=r":9: c: no preset poor"):
+        Pipeline(write(tmp_path, CHOSEN.replace("[rich]", "[poor]"), a=INGEST, b=POSES, d=READS_MANY))
+
+
 def test_unknown_preset_lists_those_there_are(tmp_path):
     pipeline = Pipeline(write(tmp_path, GOOD + "  presets: {quick: {a: {}}}\n", a=INGEST, b=POSES))
     assert pipeline.parameters("a", "quick") == {}

@@ -7,6 +7,7 @@ from benchmarks.joint.rows import (
     ROWS,
     Figures,
     Measured,
+    asks_a_prior,
     chosen,
     parameters_of,
     shortfalls,
@@ -71,3 +72,8 @@ def test_the_paper_s_rows_take_its_schedule_and_leave_the_sizes_alone():
     assert not {"rays", "architecture", "depth_patch_size"} & row.keys()
     assert parameters_of("paper-without-depth-loss", paper) == row | {"depth_weight": 0.0}
     assert set(ESTIMATORS) & set(BASELINES) == set()
+
+
+def test_rows_that_ask_no_prior_are_known():
+    unasked = {row for row in ROWS if not asks_a_prior(row)}
+    assert unasked == {"no-prior", "classical", "features-nearest", "features-sliced", "reference"}

@@ -15,7 +15,7 @@ from tests.conftest import REPOSITORY
 
 
 def main() -> None:
-    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
         for last in ("evaluation", "usd-export"):

@@ -27,7 +27,7 @@ from tests.conftest import REPOSITORY
 from tests.kubernetes.jobs import Cluster, job_of
 
 pytestmark = pytest.mark.kubernetes
-PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
+PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
 TRAINING, JOINT = "diffusion-training", "joint-optimization"
 TINY = load_yaml(REPOSITORY / "stages" / "diffusion_training" / "tests" / "tiny.yaml")[0] | {"steps": 200}
 TINY_JOINT = load_yaml(REPOSITORY / "stages" / "joint_optimization" / "tests" / "tiny.yaml")[0] | {"ranks": 2}

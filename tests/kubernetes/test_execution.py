@@ -53,7 +53,7 @@ def started(store, pipeline, tmp_path, **options):
 
 
 def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path):
-    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
     scene = Scene(name="kitchen", externals={"capture": capture(store, "kitchen")})
     argo, workflow = started(store, pipeline, tmp_path, scenes=(scene,), awaitMasks=True)
     (tmp_path / "mask.yaml").write_text(MASK)

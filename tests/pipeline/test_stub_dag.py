@@ -10,7 +10,8 @@ from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.orchestrator.parameters import parameter_schema, resolved
 from tests.conftest import REPOSITORY
 
-PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
+WHOLE = Pipeline(REPOSITORY / "pipeline.yaml")
+PIPELINE = WHOLE.under("standard")
 MASK = "mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}\n"
 
 
@@ -49,6 +50,18 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     why = cli("why", "tiny", "joint-optimization").stdout
     assert "parameters.guidance" in why
     assert "-> 2" in why
+
+
+def test_a_preset_may_have_nodes_of_its_own(ran):
+    cli, arguments = ran
+    assert cli(*arguments, "--name", "varied", "--preset", "creative").returncode == 0
+    states = cli.statuses("varied")
+    assert set(states) == set(WHOLE.order) > set(PIPELINE.order)
+    assert states["second-completion"] == states["third-completion"] == "done"
+    assert states["diffusion-training"] == "cached"
+    (record,) = (cli.store / "runs" / "varied").glob("*.json")
+    evaluation = next(n for n in json.loads(record.read_text())["nodes"] if n["node"] == "evaluation")
+    assert len(evaluation["components"]["inputs"]["radiance-fields"]) == 5
 
 
 def test_two_runs_are_compared_by_what_they_made(ran):
@@ -201,11 +214,11 @@ def test_scenes_fan_out(cli, tmp_path):
     assert "there is no" in missing.stderr
 
 
-@pytest.mark.parametrize("preset", PIPELINE.spec.spec.presets)
-@pytest.mark.parametrize("node", PIPELINE.order)
+@pytest.mark.parametrize("preset", WHOLE.spec.spec.presets)
+@pytest.mark.parametrize("node", WHOLE.order)
 def test_every_preset_has_valid_parameters(preset, node):
-    chosen = PIPELINE.parameters(node, preset)
-    assert chosen.items() <= resolved(PIPELINE, node, chosen).items()
+    chosen = WHOLE.parameters(node, preset)
+    assert chosen.items() <= resolved(WHOLE, node, chosen).items()
 
 
 @pytest.mark.parametrize("node", PIPELINE.order)

@@ -24,6 +24,17 @@ def test_a_prior_that_loses_to_the_same_steps_without_it_is_named() -> None:
     assert "adds nothing" not in said({"psnr": 23.4, "lpips_vgg": 0.30}, {"psnr": 22.5, "lpips_vgg": 0.32})
 
 
+def test_seeds_that_hardly_differ_are_named() -> None:
+    def said_of(lpips: float) -> str:
+        between = Protocol(
+            name="between-seeds", description="", metrics=(metric("all pairs", "lpips_between", lpips, 4),)
+        )
+        return " ".join(weaknesses("joint", [between, KNOWN], MASKS, truth=False))
+
+    assert "the seeds differ little (LPIPS 0.040" in said_of(0.04)
+    assert "differ little" not in said_of(0.2)
+
+
 def test_a_field_that_loses_to_a_baseline_outside_the_mask_is_named() -> None:
     warped = Protocol(
         name=KNOWN.name, description="", metrics=(*KNOWN.metrics, metric("nearest-photo-warped", "psnr", 28.0, 4))

@@ -98,15 +98,15 @@ def masks(store: Store, scene: SyntheticScene, *, missing: int = 0) -> str:
     return store.put(folder, "mask-set", metadata)
 
 
-def field(store: Store, label: str, *, poison: bool = False) -> str:
+def field(store: Store, label: str, *, seed: int = 0, poison: bool = False) -> str:
     folder = store.private_folder()
-    model = RadianceField(SPEC, seed=0)
+    model = RadianceField(SPEC, seed=seed)
     if poison:
         with torch.no_grad():
             model.base.table.fill_(float("nan"))
     save_field(folder / "weights.safetensors", model)
     (folder / "learning_curve.csv").write_text("step,rays,loss,psnr\n10,100,0.5,9.0\n20,200,0.4,\n40,400,0.3,12.5\n")
-    metadata = RadianceFieldArtifact(label=label, spec=SPEC, views=(), steps=40, seed=0, backend="reference")
+    metadata = RadianceFieldArtifact(label=label, spec=SPEC, views=(), steps=40, seed=seed, backend="reference")
     return store.put(folder, "radiance-field", metadata)
 
 
@@ -164,6 +164,23 @@ def test_equal_fields_have_equal_figures(full):
         for (method, name), value in values.items():
             if method == "joint-sds":
                 assert values["joint-sds #2", name] == value
+
+
+def test_seeds_of_one_method_are_named_and_each_two_compared(store, inputs):
+    fields = [field(store, "joint-reference", seed=seed) for seed in (0, 5, 9)]
+    _, metadata = evaluated(store, inputs | {"radiance-fields": [*fields, field(store, "masked", seed=1)]})
+    between = next(p for p in metadata.protocols if p.name == "between-seeds")
+    seeds = [f"joint-reference, seed {seed}" for seed in (0, 5, 9)]
+    pairs = [f"{seeds[i]} | {seeds[k]}" for i, k in ((0, 1), (0, 2), (1, 2))]
+    for name in ("lpips_between", "colour_between"):
+        values = {m.method: m.value for m in between.metrics if m.name == name}
+        assert set(values) == {*pairs, "all pairs"}
+        assert all(values[pair] > 0 for pair in pairs)
+        assert values["all pairs"] == pytest.approx(np.mean([values[pair] for pair in pairs]), abs=2e-6)
+    assert {m.method for p in metadata.protocols if p.name == "hole-statistics" for m in p.metrics} == {
+        *seeds,
+        "masked",
+    }
 
 
 def test_a_photo_warped_by_sparse_depth_beats_the_mean_colour(full):

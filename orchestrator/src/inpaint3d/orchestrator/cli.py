@@ -95,14 +95,16 @@ def _planner(
     stub: bool,
     images: Mapping[str, Image] | None = None,
 ) -> Planner:
+    preset = preset or pipeline.spec.spec.defaultPreset
+    chosen = pipeline.under(preset)
     return Planner(
-        pipeline=pipeline,
+        pipeline=chosen,
         store=store,
         history=History(store),
         name=run_name(capture, name),
-        preset=preset or pipeline.spec.spec.defaultPreset,
-        externals=take_externals(store, pipeline, capture, mask=mask, prior=prior, corpus=corpus),
-        overrides=parse_overrides(pipeline, assignments or []),
+        preset=preset,
+        externals=take_externals(store, chosen, capture, mask=mask, prior=prior, corpus=corpus),
+        overrides=parse_overrides(chosen, assignments or []),
         seed=seed,
         device=device,
         stub=stub,

@@ -46,9 +46,9 @@ def submit(cluster: ClusterSpec, documents: list[Document]) -> list[str]:
 
 def rerun(store: Store, pipeline: Pipeline, cluster: ClusterSpec, name: str, node: str, scenes: list[str]) -> list[str]:
     """Compute a node of a submission again, and what then changes behind it. All its scenes, or those named."""
-    if node not in pipeline.nodes:
-        raise ConfigurationError(f"no stage {node}; there are {', '.join(pipeline.order)}")
     submission = load_submission(store, name)
+    if node not in (known := pipeline.under(submission.preset)).nodes:
+        raise ConfigurationError(f"no stage {node}; there are {', '.join(known.order)}")
     known = {s.name: s for s in submission.scenes}
     if unknown := sorted(set(scenes) - set(known)):
         raise ConfigurationError(f"{name} has no scene {', '.join(unknown)}; it has {', '.join(known)}")
@@ -114,7 +114,7 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
 
 def _rows(store: Store, pipeline: Pipeline, submission: Submission, scene: Scene) -> list[NodeRun]:
     planner = Planner(
-        pipeline=pipeline,
+        pipeline=pipeline.under(submission.preset),
         store=store,
         history=History(store),
         name=scene.name,

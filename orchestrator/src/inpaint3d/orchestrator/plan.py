@@ -92,7 +92,7 @@ class Planner:
             code=self._code(spec),
             parameters=self.parameters(node),
             inputs=inputs,
-            seed=self.seed,
+            seed=self.seed + self.pipeline.nodes[node].seed,
             device=self.device if spec.spec.gpu != "none" else "cpu",
             stub=self.stub,
         )

@@ -1,8 +1,9 @@
 """`pipeline.yaml`: the DAG of stages, their wiring and parameters. No code, no expressions, no conditionals."""
 
+import copy
 import graphlib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints
 
@@ -31,12 +32,18 @@ class External(Closed):
 
 
 class Node(Closed):
-    """One use of a stage. Two nodes may use the same stage with different parameters."""
+    """One use of a stage. Two nodes may use the same stage with different parameters, or with different seeds."""
 
     name: Name
     stage: str = Field(description="the stage's folder, relative to pipeline.yaml")
     inputs: dict[PortName, Reference | list[Reference]]
     parameters: Parameters = {}
+    seed: Annotated[int, Field(ge=0)] = Field(default=0, description="added to the run's seed")
+    presets: list[Name] = Field(default=[], description="the presets that have this node; none named: all do")
+
+    def belongs_to(self, preset: str | None) -> bool:
+        """Whether a run under this preset has the node; None: under no preset."""
+        return not self.presets or preset in self.presets
 
 
 class PipelineBody(Closed):
@@ -80,6 +87,24 @@ class Pipeline:
             self._check_ports(i, node)
         self.order = self._ordered()
         self._check_presets()
+
+    def under(self, preset: str | None) -> Self:
+        """The pipeline with the nodes that a preset has; list ports lose their references to others."""
+        there = {name for name, node in self.nodes.items() if node.belongs_to(preset)}
+
+        def kept(value: Reference | list[Reference]) -> Reference | list[Reference]:
+            single = isinstance(value, str)
+            return value if single else [r for r in value if r.split(".")[0] in {*there, "external"}]
+
+        chosen = copy.copy(self)
+        chosen.order = [name for name in self.order if name in there]
+        chosen.stages = {name: self.stages[name] for name in self.nodes if name in there}
+        chosen.nodes = {
+            name: node.model_copy(update={"inputs": {port: kept(value) for port, value in node.inputs.items()}})
+            for name, node in self.nodes.items()
+            if name in there
+        }
+        return chosen
 
     def references(self, node: str) -> dict[str, list[str]]:
         """Input port -> references, single ones as a list of one."""
@@ -143,11 +168,19 @@ class Pipeline:
                 self._fail(at, f"{reference}: {source} has no output {name}; it has {outputs}")
                 return
             offered, optional = output.schema_id, output.optional
+            if not wanted.list and (lacking := self._lacking(self.nodes[source], node)):
+                self._fail(at, f"{reference}: preset {lacking} has {node.name}, but not {source}")
         if not compatible(offered, wanted.schema_range):
             self._fail(at, f"{reference} is {offered}, but {node.name}.{port} takes {wanted.schema_range}")
         if optional and not (wanted.optional or wanted.list):
             kind = split_schema(offered)[0]
             self._fail(at, f"{reference} may be absent, but {node.name}.{port} needs a {kind}")
+
+    def _lacking(self, source: Node, reader: Node) -> str | None:
+        """A preset that has the reader and not its source."""
+        presets = (None, *self.spec.spec.presets)
+        found = [p for p in presets if reader.belongs_to(p) and not source.belongs_to(p)]
+        return (found[0] or "(none)") if found else None
 
     def _ordered(self) -> list[str]:
         graph = {name: self.upstream(name) for name in self.nodes}
@@ -168,5 +201,9 @@ class Pipeline:
                         ("spec", "presets", preset, node),
                         f"no node {node}; there are {', '.join(self.nodes)}",
                     )
+        for i, node in enumerate(body.stages):
+            for preset in node.presets:
+                if preset not in body.presets:
+                    self._fail(("spec", "stages", i, "presets"), f"{node.name}: no preset {preset}")
         if body.defaultPreset is not None and body.defaultPreset not in body.presets:
             self._fail(("spec", "defaultPreset"), f"no preset {body.defaultPreset}")

@@ -107,7 +107,7 @@ class StageContract:
     @classmethod
     def upstream(cls, tmp_path_factory: pytest.TempPathFactory) -> Upstream:
         repository = cls.folder.parents[1]
-        pipeline = Pipeline(repository / "pipeline.yaml")
+        pipeline = Pipeline(repository / "pipeline.yaml").under(None)
         stage = f"stages/{cls.folder.name}"
         node = [n for n in pipeline.order if pipeline.nodes[n].stage == stage][-1]
         return Upstream(pipeline, node, Store(tmp_path_factory.mktemp("store")))

@@ -19,6 +19,7 @@ from inpaint3d.orchestrator.plan import node_parameters
 Document = dict[str, Any]
 API_VERSION = "argoproj.io/v1alpha1"
 LABEL = "inpaint3d"
+PRESET = f"{LABEL}/preset"
 INVOCATION, OUTPUTS = "/inpaint3d/invocation.json", "/tmp/outputs"  # noqa: S108 - a path in a pod
 RECORDER = "inpaint3d/orchestrator"
 AWAIT_MASK = "await-mask"
@@ -35,6 +36,7 @@ def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, su
 
     Raises ConfigurationError.
     """
+    pipeline = pipeline.under(submission.preset)
     wanted = {RECORDER, *(spec.spec.image for spec in pipeline.stages.values())}
     if missing := sorted(wanted - set(submission.images)):
         raise ConfigurationError(f"images.yaml has no {', '.join(missing)}; run `make images`")
@@ -115,7 +117,11 @@ def _template(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission) 
     return {
         "apiVersion": API_VERSION,
         "kind": "WorkflowTemplate",
-        "metadata": {"name": submission.name, "namespace": body.namespace},
+        "metadata": {
+            "name": submission.name,
+            "namespace": body.namespace,
+            "annotations": {PRESET: submission.preset or ""},
+        },
         "spec": spec,
     }
 
@@ -248,7 +254,7 @@ def _invocation(pipeline: Pipeline, submission: Submission, node: str, *, device
         {
             "parameters": node_parameters(pipeline, node, submission.preset, submission.overrides),
             "inputs": inputs,
-            "seed": submission.seed,
+            "seed": submission.seed + pipeline.nodes[node].seed,
             "device": device,
             "threads": max(1, int(float(cpu))),
             "stub": submission.stub,

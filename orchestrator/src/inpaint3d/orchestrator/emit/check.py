@@ -18,7 +18,7 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.manifest import compatible, first_error
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.shim import Invocation
-from inpaint3d.orchestrator.emit.argo import LABEL, checked
+from inpaint3d.orchestrator.emit.argo import LABEL, PRESET, checked
 from inpaint3d.orchestrator.parameters import resolved
 
 Document = dict[str, Any]
@@ -38,7 +38,8 @@ def check(documents: list[Document], pipeline: Pipeline) -> list[str]:
     for template in templates.values():
         view = _View(template)
         findings += [f"references: {f}" for f in _references(view)]
-        findings += [f"contracts: {f}" for f in _contracts(view, pipeline)]
+        preset = template["metadata"].get("annotations", {}).get(PRESET)
+        findings += [f"contracts: {f}" for f in _contracts(view, pipeline.under(preset))]
         findings += [f"policy: {f}" for f in _policy(view)]
     for workflow in (d for d in documents if d["kind"] == "Workflow"):
         findings += [f"references: {f}" for f in _workflow(workflow, templates)]

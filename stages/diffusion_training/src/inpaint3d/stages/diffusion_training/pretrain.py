@@ -1,7 +1,7 @@
 """A general prior of image corpora alone, on as many processes as torchrun starts (D12).
 
     torchrun --nproc-per-node 2 -m inpaint3d.stages.diffusion_training.pretrain CORPUS ... OUT [--config FILE]
-        [--start DIR]
+        [--prior DIR]
 
 A CORPUS is an image-corpus artifact; of several, every picture is drawn as often as any other. FILE holds parameters of
 the stage as YAML, DIR is a diffusion-prior artifact to go on from, with a fresh optimiser. The `parts` of a step are
@@ -43,13 +43,13 @@ def main() -> None:
     parser.add_argument("corpus", type=Path, nargs="+")
     parser.add_argument("out", type=Path)
     parser.add_argument("--config", type=Path, help="parameters of diffusion-training, YAML")
-    parser.add_argument("--start", type=Path, help="diffusion-prior artifact to go on from")
+    parser.add_argument("--prior", type=Path, help="diffusion-prior artifact to go on from")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     join_ranks()
     try:
-        pretrain(options.corpus, options.out, _config(options.config), options.seed, options.start)
+        pretrain(options.corpus, options.out, _config(options.config), options.seed, options.prior)
     except (Inpaint3dError, OSError) as error:
         failure = from_os_error(error) if isinstance(error, OSError) else error
         sys.stderr.write(f"pretrain: {failure.kind}: {failure}\n")

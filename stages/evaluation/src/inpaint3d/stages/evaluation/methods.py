@@ -64,13 +64,18 @@ class Method:
 
 
 def load_methods(artifacts: list[Artifact[RadianceFieldArtifact]], device: str) -> list[Method]:
-    """The fields in the order they are wired; labels that repeat get a number."""
+    """The fields in the order they are wired; labels that repeat get their seeds, or where those repeat a number."""
+    named = [(a.metadata.label, a.metadata.seed) for a in artifacts]
     methods: list[Method] = []
-    for artifact in artifacts:
-        label = artifact.metadata.label
-        same = sum(m.artifact.metadata.label == label for m in methods)
+    for i, artifact in enumerate(artifacts):
+        label, seed = named[i]
+        seeds = [s for other, s in named if other == label]
+        if len(set(seeds)) == len(seeds) > 1:
+            label = f"{label}, seed {seed}"
+        elif same := sum(other == label for other, _ in named[:i]):
+            label = f"{label} #{same + 1}"
         field = load_field(artifact.path(artifact.metadata.weights), artifact.metadata.spec).to(device).eval()
-        methods.append(Method(f"{label} #{same + 1}" if same else label, field, artifact))
+        methods.append(Method(label, field, artifact))
     return methods
 
 

@@ -8,6 +8,8 @@ from inpaint3d.stages.evaluation import protocols as names
 
 CONTROL = "continued-reconstruction"  # the label of a field that took the same steps without a prior
 
+VISIBLY_APART = 0.1  # LPIPS between two completions
+
 _LIMITS = (
     "What is behind the mask was made up. Several fillings can be right; PSNR and SSIM favour the blurred "
     "average of them, LPIPS and the pictures say more.",
@@ -52,6 +54,12 @@ def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: b
     if ratio is not None and not 0.4 <= ratio <= 2.5:
         look = "blurred" if ratio < 0.4 else "noisy"
         found.append(f"Weak: the filling looks {look} (gradient energy {ratio:.2f} of its surround's).")
+    between = _values(done, names.VARIETY, "lpips_between").get(names.EACH_PAIR)
+    if between is not None and between < VISIBLY_APART:
+        found.append(
+            f"Weak: the seeds differ little (LPIPS {between:.3f} between two of them): most of the hole is known to "
+            "other photos, or what surrounds it leaves one answer."
+        )
     if masks.consistency is not None and masks.consistency < 0.7:
         found.append(f"Weak: masks of neighbouring views agree badly (mean IoU {masks.consistency:.2f}).")
     if not truth:

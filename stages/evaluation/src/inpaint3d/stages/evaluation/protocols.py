@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +33,8 @@ HOLE = "hole-only-vs-truth"
 HELD_OUT = "held-out-known-pixels"
 STATISTICS = "hole-statistics"
 CONSISTENCY = "neighbouring-views"
+VARIETY = "between-seeds"
+EACH_PAIR = "all pairs"
 MEAN_SURROUND = "mean-surround"
 MEAN_COLOUR = "mean-colour"
 WARPED = "nearest-photo-warped"
@@ -209,6 +212,43 @@ def neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -
             metrics=metrics,
         )
     ]
+
+
+def between_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+    """`between-seeds`: how much fields that differ in their seed alone differ in the hole, each two of them."""
+    first = bench.methods[0].artifact.metadata.label
+    alike = {m.artifact.metadata.seed: m for m in bench.methods if m.artifact.metadata.label == first}
+    pairs = list(combinations([m.label for m in alike.values()], 2))
+    done = 0
+    for photo in photos:
+        box = mask_box(photo.hole, bench.config.box_growth)
+        renders = {m.label: bench.full_render(m, photo) for m in alike.values()}
+        if not pairs or box is None or not bench.usable(renders, photo.name):
+            continue
+        crops = {label: np.ascontiguousarray(maps["rgb"][box.slices]) for label, maps in renders.items()}
+        rows = {f"{a} | {b}": _apart(crops[a], crops[b], photo.hole[box.slices], bench.config) for a, b in pairs}
+        rows[EACH_PAIR] = {n: float(np.mean([f[n] for f in rows.values()])) for n in next(iter(rows.values()))}
+        for label, figures in rows.items():
+            bench.scores.add(VARIETY, label, photo.name, figures)
+        done += 1
+    if not done:
+        return []
+    return [
+        Protocol(
+            name=VARIETY,
+            description=f"{len(alike)} completions that differ in their seed alone, each two of them beside each other "
+            f"in {done} views: LPIPS of the crops to the hole's box, and mean absolute difference of colours inside "
+            f"the mask. {EACH_PAIR}: their mean. What other photos show of the hole is the same for every seed.",
+            metrics=tuple(bench.scores.means(VARIETY)),
+        )
+    ]
+
+
+def _apart(one: Image, other: Image, hole: np.ndarray, config: Config) -> dict[str, float]:
+    figures = {"colour_between": float(np.abs(one - other)[hole].mean())}
+    if config.perceptual:
+        figures["lpips_between"] = lpips.load("vgg").distance(one, other)
+    return figures
 
 
 def compared(picture: Image, truth: Image, *, perceptual: bool, region: np.ndarray | None = None) -> dict[str, float]:

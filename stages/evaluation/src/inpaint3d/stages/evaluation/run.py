@@ -35,6 +35,7 @@ from inpaint3d.stages.evaluation.protocols import (
     Bench,
     Tick,
     against_truth,
+    between_seeds,
     held_out,
     hole_statistics,
     neighbouring_views,
@@ -72,6 +73,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         *held_out(bench, test, train, points.xyz),
         *hole_statistics(bench, shown),
         *neighbouring_views(bench, evenly_chosen(shown, config.neighbour_views), photos),
+        *between_seeds(bench, shown),
         *sparse_points(bench, [v.camera for v in load_posed(capture)], photos, points),
         *(held_out_crops(prior.metadata) if prior else []),
     ]

@@ -36,6 +36,8 @@ KINDS: dict[str, Kind] = {
     "reprojection_known": Kind("the same, known pixels", "1", "lower", 4),
     "depth_error": Kind("depth at sparse points, median relative error", "1", "lower", 4),
     "floaters": Kind("opacity in front of sparse points", "1", "lower", 4),
+    "lpips_between": Kind("LPIPS (VGG) between them", "1", "higher", 3),
+    "colour_between": Kind("colour difference between them, hole", "1", "higher", 4),
     "gradient_ratio": Kind("gradient energy, hole : surround", "1", "nearer 1", 2),
 }
 
