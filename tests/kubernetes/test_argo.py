@@ -39,13 +39,16 @@ def test_the_whole_pipeline_passes_every_layer(preset):
 
 
 def test_a_node_of_a_preset_alone_has_its_seed():
-    (template, *_) = emit(PIPELINE, cluster(), submission(PIPELINE, preset="creative", seed=10))
+    (template, *_) = emit(
+        PIPELINE, cluster(), submission(PIPELINE, preset="creative", seed=10, overrides={"evaluation": {"seed": 4}})
+    )
     seeds = {}
     for stage in template["spec"]["templates"]:
         for artifact in stage.get("inputs", {}).get("artifacts", []):
             seeds[stage["name"]] = json.loads(artifact["raw"]["data"])["seed"]
     assert (seeds["joint-optimization"], seeds["second-completion"], seeds["third-completion"]) == (10, 11, 12)
-    assert {seeds[name] for name in PIPELINE.under("standard").order} == {10}
+    assert {seeds[name] for name in PIPELINE.under("standard").order} == {10, 4}
+    assert seeds["evaluation"] == 4
 
 
 def test_hera_gives_back_what_was_emitted(emitted):

@@ -64,6 +64,13 @@ def test_a_preset_may_have_nodes_of_its_own(ran):
     assert len(evaluation["components"]["inputs"]["radiance-fields"]) == 5
 
 
+def test_one_stage_can_have_a_seed_of_its_own(ran):
+    cli, arguments = ran
+    assert cli(*arguments, "--set", "joint-optimization.seed=3").returncode == 0
+    assert next(n for n, s in cli.statuses().items() if s == "done") == "joint-optimization"
+    assert "seed: 0 -> 3" in cli("why", "tiny", "joint-optimization").stdout
+
+
 def test_two_runs_are_compared_by_what_they_made(ran):
     cli, arguments = ran
     assert cli(*arguments, "--name", "again").returncode == 0
@@ -232,6 +239,7 @@ def test_wrong_parameters_are_named(cli, capture):
         ("joint-optimisation.guidance=2", "no stage joint-optimisation"),
         ("joint-optimization.guidance=lots", "'lots' is not of type 'number'"),
         ("guidance", "write STAGE.PARAM=VALUE"),
+        ("joint-optimization.seed=-1", "a seed is a whole number"),
     ):
         result = cli("run", str(capture), "--stub", "--set", assignment)
         assert result.returncode == 2

@@ -397,7 +397,11 @@ def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> N
 def validate(pipeline: PipelinePath = None) -> None:
     """Check pipeline.yaml and every stage.yaml it names."""
     checked = Pipeline(find_pipeline(pipeline))
-    sys.stdout.write(f"{checked.path}: {len(checked.order)} stages: {', '.join(checked.order)}\n")
+    names = [
+        f"{name} (under {', '.join(presets)})" if (presets := checked.nodes[name].presets) else name
+        for name in checked.order
+    ]
+    sys.stdout.write(f"{checked.path}: {len(names)} stages: {', '.join(names)}\n")
 
 
 @app.command(name="publish")

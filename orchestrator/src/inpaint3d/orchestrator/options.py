@@ -18,7 +18,7 @@ Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: m
 Preset = Annotated[
     str | None, typer.Option(help="draft, standard, creative, high, paper or spin-nerf; default: the pipeline's")
 ]
-Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, may be repeated")]
+Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, or STAGE.seed=N; may be repeated")]
 Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of CAPTURE; may be repeated: one run each")]
 Only = Annotated[str | None, typer.Option(help="run this stage alone")]
 From = Annotated[str | None, typer.Option("--from", help="run this stage and what depends on it")]

@@ -11,6 +11,8 @@ from jsonschema import Draft202012Validator, exceptions
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.pipeline import Pipeline
 
+SEED = "seed"
+
 
 @functools.cache
 def _schema(path: Path) -> dict[str, Any]:
@@ -46,7 +48,10 @@ def resolved(pipeline: Pipeline, node: str, chosen: dict[str, Any]) -> dict[str,
 
 
 def parse_overrides(pipeline: Pipeline, assignments: list[str]) -> dict[str, dict[str, Any]]:
-    """`STAGE.PARAM=VALUE` lines (the value is YAML) -> node -> parameter -> value. `STAGE.a.b=V` reaches inside."""
+    """`STAGE.PARAM=VALUE` lines (the value is YAML) -> node -> parameter -> value. `STAGE.a.b=V` reaches inside.
+
+    `STAGE.seed` is the node's seed: every stage has one.
+    """
     overrides: dict[str, dict[str, Any]] = {}
     for line in assignments:
         target, equals, text = line.partition("=")
@@ -59,6 +64,8 @@ def parse_overrides(pipeline: Pipeline, assignments: list[str]) -> dict[str, dic
             value = yaml.safe_load(text)
         except yaml.YAMLError as error:
             raise ConfigurationError(f"--set {line}: {text!r} is not a YAML value") from error
+        if path == SEED and (type(value) is not int or value < 0):
+            raise ConfigurationError(f"--set {line}: a seed is a whole number, 0 or more")
         place = overrides.setdefault(node, {})
         *outer, last = path.split(".")
         for name in outer:

@@ -15,9 +15,10 @@ from inpaint3d.contracts.report import Change, NodeRun
 from inpaint3d.contracts.stage import StageSpec
 from inpaint3d.contracts.store import Record, Store
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.parameters import resolved
+from inpaint3d.orchestrator.parameters import SEED, resolved
 
 Overrides = dict[str, dict[str, Any]]
+"""Node -> parameter -> value; `seed`, which is no parameter of any stage, is the node's seed."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Planner:
             code=self._code(spec),
             parameters=self.parameters(node),
             inputs=inputs,
-            seed=self.seed + self.pipeline.nodes[node].seed,
+            seed=node_seed(self.pipeline, node, self.seed, self.overrides),
             device=self.device if spec.spec.gpu != "none" else "cpu",
             stub=self.stub,
         )
@@ -132,7 +133,13 @@ class Planner:
 
 def node_parameters(pipeline: Pipeline, node: str, preset: str | None, overrides: Overrides) -> dict[str, Any]:
     """A node's parameters: the stage's defaults, pipeline.yaml's over them, the preset's, the command line's."""
-    return resolved(pipeline, node, {**pipeline.parameters(node, preset), **overrides.get(node, {})})
+    chosen = {name: value for name, value in overrides.get(node, {}).items() if name != SEED}
+    return resolved(pipeline, node, {**pipeline.parameters(node, preset), **chosen})
+
+
+def node_seed(pipeline: Pipeline, node: str, seed: int, overrides: Overrides) -> int:
+    """A node's seed: the command line's for it, or the run's and what pipeline.yaml adds."""
+    return overrides.get(node, {}).get(SEED, seed + pipeline.nodes[node].seed)
 
 
 def explain(

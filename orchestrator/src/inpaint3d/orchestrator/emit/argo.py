@@ -14,7 +14,7 @@ from inpaint3d.contracts.cluster import ClusterSpec, Scene, Submission
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.stage import StageSpec
-from inpaint3d.orchestrator.plan import node_parameters
+from inpaint3d.orchestrator.plan import node_parameters, node_seed
 
 Document = dict[str, Any]
 API_VERSION = "argoproj.io/v1alpha1"
@@ -254,7 +254,7 @@ def _invocation(pipeline: Pipeline, submission: Submission, node: str, *, device
         {
             "parameters": node_parameters(pipeline, node, submission.preset, submission.overrides),
             "inputs": inputs,
-            "seed": submission.seed + pipeline.nodes[node].seed,
+            "seed": node_seed(pipeline, node, submission.seed, submission.overrides),
             "device": device,
             "threads": max(1, int(float(cpu))),
             "stub": submission.stub,
