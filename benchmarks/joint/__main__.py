@@ -11,7 +11,7 @@ Rows can be run one by one: what is done lies in the store below --work and is f
 its checkpoint, and the file is written after every row, one seed of all rows before the next. What a step of score
 distillation costs beyond its parts is measured too, in a second or two (cost.py). Pictures of each row lie in
 --work/pictures, to be looked at.
-Figures of scenes and rows that are not asked for stay as they were; each has the key of the run that it is of. Two of
+Figures of scenes and rows that are not asked for stay as they were; each has its commit and the key of its run. Two of
 these with different --scenes can run side by side (--threads).
 
 --statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
@@ -48,6 +48,7 @@ from benchmarks.joint.rows import (
     shortfalls,
     spread,
 )
+from benchmarks.provenance import commit
 
 from inpaint3d.contracts.artifacts import Evaluation
 from inpaint3d.contracts.context import Inputs
@@ -110,7 +111,7 @@ class Bench:
             if m.method == label and FIGURES.get(m.name) == protocol.name
         }
         took = {name: joint.timings[name] for name in ("wall_s", "cpu_s")}
-        return figures | took | {"seed": seed, "key": joint.key}
+        return figures | took | {"seed": seed, "key": joint.key, "commit": commit()["commit"]}
 
     def sds_step(self) -> dict[str, Any]:
         """What a step of score distillation costs here, in CPU seconds (cost.py)."""
