@@ -1,6 +1,6 @@
 """A prior judged on its own, on photos that it was not trained on: `make bench-prior CORPUS=FOLDER [PRIOR=FOLDER]`.
 
-    python -m benchmarks.prior CORPUS [--prior FOLDER] [--count N] [--steps N] [--out FILE] [--grids FOLDER]
+    python -m benchmarks.prior CORPUS [--prior FOLDER] [--count N] [--steps N] [--draws N] [--out FILE] [--grids FOLDER]
 
 CORPUS is the image-corpus artifact that the prior was trained on, of which some photos were held out by a hash of their
 names; --prior is a diffusion-prior artifact, the repository's own unless another is named. Each held-out photo's middle
@@ -15,12 +15,15 @@ square, at the prior's size, is filled under three kinds of holes by
 
 Written to `benchmarks/results/prior.json` and the model card: of each, LPIPS (VGG, mean over photos, lower is better),
 KID over stand-in features (EfficientNet-Lite0, hence kid_lite0, of all pictures against all truths, lower is better),
-PSNR in the hole (mean, dB). Holes and noise come from fixed seeds. Grids (hole, then the fills in this order, truth)
-show the photos, which are not the project's to publish: they go to a folder that is not committed.
+PSNR in the hole (mean, dB). Holes and noise come from fixed seeds; every photo is filled with --draws holes of each
+kind, and figures are means over the draws, with the standard deviation of KID between them: 100 pictures leave it to
+chance in the third decimal, and the shift map is not the same from run to run. Grids (hole, then the fills in this
+order, truth) show the photos, which are not the project's to publish: they go to a folder that is not committed.
 """
 
 import argparse
 import json
+import statistics
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -66,12 +69,17 @@ def main() -> None:
     judge = Judge(truth)
     masks: dict[str, Any] = {}
     for kind, draw in HOLES.items():
-        rng = np.random.default_rng(SEED)
-        cv2.setRNGSeed(SEED)  # shift maps are found by chance
-        hole = torch.from_numpy(np.stack([draw(prior.spec.size, rng) for _ in truth])).float()[:, None]
-        filled = {name: fill(truth, hole) for name, fill in fills(prior, options.steps).items()}
-        masks[kind] = {name: judge.figures(pictures, hole) for name, pictures in filled.items()}
-        write_png(options.grids / f"{kind}.png", grid(truth, hole, filled))
+        found: dict[str, list[dict[str, float]]] = {}
+        for seed in range(SEED, SEED + options.draws):
+            rng = np.random.default_rng(seed)
+            cv2.setRNGSeed(seed)  # shift maps are found by chance
+            hole = torch.from_numpy(np.stack([draw(prior.spec.size, rng) for _ in truth])).float()[:, None]
+            filled = {name: fill(truth, hole) for name, fill in fills(prior, options.steps).items()}
+            for name, pictures in filled.items():
+                found.setdefault(name, []).append(judge.figures(pictures, hole))
+            if seed == SEED:
+                write_png(options.grids / f"{kind}.png", grid(truth, hole, filled))
+        masks[kind] = {name: over_draws(figures) for name, figures in found.items()}
         print(kind, json.dumps(masks[kind], indent=1), flush=True)
     report = {
         "machine": this_machine().model_dump(),
@@ -82,6 +90,7 @@ def main() -> None:
             "parameters": sum(p.numel() for p in prior.parameters()),
         },
         "photos": len(held_out),
+        "draws": options.draws,
         "sampler": f"ddim, {options.steps} steps",
         "lpips_network": "vgg",
         "masks": masks,
@@ -98,13 +107,17 @@ def main() -> None:
 def table(report: dict[str, Any]) -> str:
     """What the model card says of these figures."""
     lines = [
-        f"{report['photos']} held-out photos at {report['prior']['size']} pixels; ours: {report['sampler']}.",
+        f"{report['photos']} held-out photos at {report['prior']['size']} pixels, {report['draws']} draws of holes; "
+        f"ours: {report['sampler']}.",
         "LPIPS (VGG) and KID-lite0 (EfficientNet-Lite0's features, not Inception's, hence not KID): lower is better;",
-        "PSNR in the hole, dB.",
+        "PSNR in the hole, dB. ±: between the draws.",
     ]
     for kind, rows in report["masks"].items():
         lines += ["", f"| {kind} | LPIPS | KID-lite0 | PSNR |", "|---|---|---|---|"]
-        lines += [f"| {n} | {r['lpips']:.4f} | {r['kid_lite0']:.5f} | {r['psnr']:.2f} |" for n, r in rows.items()]
+        lines += [
+            f"| {n} | {r['lpips']:.4f} | {r['kid_lite0']:.4f} ± {r['kid_lite0_spread']:.4f} | {r['psnr']:.2f} |"
+            for n, r in rows.items()
+        ]
     return "\n".join(lines)
 
 
@@ -114,14 +127,15 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--prior", type=Path, default=GENERAL)
     parser.add_argument("--count", type=int, default=100, help="judge on the first so many held-out photos alone")
     parser.add_argument("--steps", type=int, default=3, help="DDIM steps of a sample")
+    parser.add_argument("--draws", type=int, default=4, help="holes of each kind for a photo")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--grids", type=Path, default=REPOSITORY / "runs" / "bench-prior")
     options = parser.parse_args()
     if options.count < 2:
         parser.error(f"--count {options.count}: KID needs at least 2 photos")
-    if options.count < 100 and options.out == RESULTS:
-        parser.error("figures of fewer photos are no results; give another file with --out")
+    if (options.count < 100 or options.draws < 2) and options.out == RESULTS:
+        parser.error("figures of fewer photos or of one draw are no results; give another file with --out")
     return options
 
 
@@ -192,6 +206,13 @@ def shift_map(picture: np.ndarray, hole: np.ndarray) -> np.ndarray:
     # Its mask is that of the known pixels.
     cv2.xphoto.inpaint(lab, (1 - hole) * 255, filled, cv2.xphoto.INPAINT_SHIFTMAP)
     return cv2.cvtColor(filled, cv2.COLOR_Lab2RGB)
+
+
+def over_draws(figures: list[dict[str, float]]) -> dict[str, float]:
+    """Means over the draws, and KID's standard deviation between them (0 for one)."""
+    means = {name: round(statistics.fmean(f[name] for f in figures), 5) for name in figures[0]}
+    spread = statistics.stdev(f["kid_lite0"] for f in figures) if len(figures) > 1 else 0.0
+    return means | {"kid_lite0_spread": round(spread, 5)}
 
 
 class Judge:
