@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test test-kubernetes check install schemas format images bench-radiance bench-prior bench-prior-variants bench-unet bench-joint clean
+.PHONY: demo test test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -58,6 +58,9 @@ $(PEER_ENV)/.installed: $(UV) benchmarks/radiance/peer/pyproject.toml benchmarks
 bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields against nerfstudio and the machine [FOX=FOLDER]
 	.venv/bin/python -m benchmarks.radiance $(if $(FOX),--fox $(FOX)) $(BENCH_OPTIONS)
 
+bench-radiance-quality: .venv/.installed ## radiance fields on held-out photos [SCENES="NAME=FOLDER ..."]
+	.venv/bin/python -m benchmarks.radiance.quality $(SCENES) $(BENCH_OPTIONS)
+
 bench-prior: .venv/.installed ## a prior on held-out photos against classical fills CORPUS=FOLDER [PRIOR=FOLDER]
 	.venv/bin/python -m benchmarks.prior $(CORPUS) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
 
@@ -67,8 +70,8 @@ bench-prior-variants: .venv/.installed ## which small prior learns most in an ho
 bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [CORPUS=FOLDER]
 	.venv/bin/python -m benchmarks.unet $(if $(CORPUS),--corpus $(CORPUS)) $(BENCH_OPTIONS)
 
-bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER]
-	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(BENCH_OPTIONS)
+bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
+	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs

@@ -1,7 +1,7 @@
-"""What fills a hole best: `make bench-joint [STATUE=FOLDER]`.
+"""What fills a hole best: `make bench-joint [STATUE=FOLDER] [BEAR=FOLDER]`.
 
-    python -m benchmarks.joint [--statue FOLDER] [--scenes SCENE ...] [--rows ROW ...] [--seeds N ...] [--quick]
-                               [--threads N] [--work DIR] [--out FILE]
+    python -m benchmarks.joint [--statue FOLDER] [--bear FOLDER] [--scenes SCENE ...] [--rows ROW ...] [--seeds N ...]
+                               [--quick] [--threads N] [--work DIR] [--out FILE]
 
 Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, masked
 reconstruction and, where it asks one, prior through the stage joint-optimization, with three seeds of that stage. Rows,
@@ -14,8 +14,9 @@ distillation costs beyond its parts is measured too, in a second or two (cost.py
 Figures of scenes and rows that are not asked for stay as they were; each has its commit and the key of its run. Two of
 these with different --scenes can run side by side (--threads).
 
---statue: a folder with images/, photos of a scene (29 of a statue in the project's own table). --quick: minutes, a
-small budget and one seed, to see that it works; its figures mean nothing.
+--statue, --bear: folders with images/, photos of a scene (in the project's own table 29 of a statue, 96 of a bear). Of
+the bear only the baselines and the default by the rule are run. --quick: minutes, a small budget and one seed, to see
+that it works; its figures mean nothing.
 """
 
 import argparse
@@ -31,12 +32,14 @@ from typing import Any
 
 from benchmarks.joint.cost import sds_step
 from benchmarks.joint.rows import (
+    BASELINES,
     FIGURES,
     HOLES,
+    PHOTOS_MASK,
     ROWS,
     RULE,
+    RULED,
     SEEDS,
-    STATUE_MASK,
     TRUTH_EVERY,
     TRUTH_FIRST,
     Measured,
@@ -154,19 +157,19 @@ class Bench:
         return record
 
 
-def statue_capture(photos: Path, work: Path) -> tuple[Path, Path]:
+def photos_capture(scene: str, photos: Path, work: Path) -> tuple[Path, Path]:
     """The photos as a capture with truth beside it, and the request for its hole, by the rule in rows.py."""
     pictures = sorted(p for p in (photos / "images").glob("*") if p.suffix.lower() in (".jpg", ".jpeg", ".png"))
     if len(pictures) < 2 * TRUTH_EVERY:
-        raise SystemExit(f"--statue {photos}: images/ holds {len(pictures)} photos; give at least {2 * TRUTH_EVERY}")
-    folder = work / "captures" / "statue"
+        raise SystemExit(f"--{scene} {photos}: images/ holds {len(pictures)} photos; give at least {2 * TRUTH_EVERY}")
+    folder = work / "captures" / scene
     shutil.rmtree(folder, ignore_errors=True)
     for i, picture in enumerate(pictures):
         target = folder / ("truth" if i % TRUTH_EVERY == TRUTH_FIRST else "images")
         target.mkdir(parents=True, exist_ok=True)
         shutil.copy(picture, target)
-    mask = work / "captures" / "statue.yaml"
-    mask.write_text(STATUE_MASK)
+    mask = work / "captures" / f"{scene}.yaml"
+    mask.write_text(PHOTOS_MASK)
     return folder, mask
 
 
@@ -191,8 +194,9 @@ def table(measured: Measured) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--statue", type=Path, metavar="FOLDER")
+    parser.add_argument("--bear", type=Path, metavar="FOLDER")
     parser.add_argument("--scenes", nargs="+", choices=HOLES, default=list(HOLES), metavar="SCENE")
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=None, metavar="ROW")
     parser.add_argument("--seeds", nargs="+", type=int, default=None, metavar="N")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1, metavar="N", help="of a stage")
@@ -205,20 +209,32 @@ def main() -> None:
 
     work.mkdir(parents=True, exist_ok=True)
     captures = {"demo": (DEMO / "capture", DEMO / "mask.yaml")} if "demo" in options.scenes else {}
-    if options.statue is not None and "statue" in options.scenes:
-        captures["statue"] = statue_capture(options.statue, work)
+    for scene, photos in (("statue", options.statue), ("bear", options.bear)):
+        if photos is not None and scene in options.scenes:
+            captures[scene] = photos_capture(scene, photos, work)
     if (kept := read(out)) and kept["quick"] != options.quick:
         raise SystemExit(f"{out} is of a run {'with' if kept['quick'] else 'without'} --quick; give another --out")
     for scene, (capture, mask) in captures.items():
         bench = Bench(scene, capture, mask, work, quick=options.quick, threads=options.threads)
-        step = bench.sds_step() if scene == "demo" and any(map(asks_a_prior, options.rows)) else None
+        rows = options.rows or rows_of(scene, read(out))
+        step = bench.sds_step() if scene == "demo" and any(map(asks_a_prior, rows)) else None
         for seed in seeds:
-            for row in options.rows:
+            for row in rows:
                 print(f"{scene}: {row}, seed {seed}", file=sys.stderr, flush=True)
                 add(out, scene, row, bench.measure(row, seed), step, quick=options.quick)
     result = read(out)
     print(table(result["measured"]))
     print(json.dumps(result["default"], indent=1))
+
+
+def rows_of(scene: str, kept: dict[str, Any]) -> tuple[str, ...]:
+    """All rows of a scene that the rule is about; of another one the baselines and what the rule chose."""
+    if scene in RULED:
+        return ROWS
+    best = kept.get("default", {}).get("row")
+    if best is None:
+        raise SystemExit(f"{scene} is for the default row, and there is none yet; run {', '.join(RULED)} first")
+    return (*BASELINES, best)
 
 
 def read(out: Path) -> dict[str, Any]:
@@ -238,13 +254,14 @@ def add(out: Path, scene: str, row: str, figures: dict[str, Any], step: dict[str
         rows = measured.setdefault(scene, {})
         others = [run for run in rows.get(row, []) if run["seed"] != figures["seed"]]
         rows[row] = sorted([*others, figures], key=lambda run: run["seed"])
-        best = chosen(measured)
+        ruled = {scene: rows for scene, rows in measured.items() if scene in RULED}
+        best = chosen(ruled)
         result = {
             "machine": this_machine().model_dump(mode="json"),
             "quick": quick,
             "holes": {scene: HOLES[scene] for scene in measured},
             "rule": RULE,
-            "default": {"row": best, "shortfalls": shortfalls(measured, best) if best else []},
+            "default": {"row": best, "shortfalls": shortfalls(ruled, best) if best else []},
             "sds_step": step or kept.get("sds_step", {}),
             "measured": measured,
         }

@@ -203,7 +203,7 @@ def main() -> None:
         parser.error("--quick figures are no results; give another file with --out")
     name = "fox" if options.fox else "demo"
     folder = options.work.resolve() / name
-    scene.pose(options.fox or DEMO, REPOSITORY, folder)
+    scene.run_until("scene-analysis", options.fox or DEMO, REPOSITORY, folder)
     bench = Bench(options, folder)
     views = bench.ours("views")
     if not options.fox:

@@ -1,7 +1,7 @@
 """Our side: `python -m benchmarks.radiance.ours FOLDER WHAT ...` is a process for each measurement, and prints JSON.
 
-FOLDER is what `scene.pose` filled. Every step is the stage's own `one_step`. One thread; CPU seconds are user + system,
-and those of scoring are not counted.
+FOLDER is what `scene.run_until` filled. Every step is the stage's own `one_step`. One thread; CPU seconds are user +
+system, and those of scoring are not counted.
 """
 
 import argparse

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,22 +32,27 @@ class Scene:
     sightings: Sightings  # by the training views
 
 
-def pose(capture: Path, repository: Path, folder: Path) -> None:
-    """Run the pipeline over a capture as far as scene-analysis; its store and results go to `folder`."""
+def run_until(stage: str, capture: Path, repository: Path, folder: Path, *, preset: str = "standard") -> None:
+    """Run the pipeline over a capture as far as a stage; its store and results go to `folder`."""
     subprocess.run(
         [
             str(Path(sys.executable).parent / "inpaint3d"), "run", str(capture.resolve()), "--name", "scene",
-            "--until", "scene-analysis", "--log-format", "json",
+            "--until", stage, "--preset", preset, "--log-format", "json",
             "--store", str(folder / "store"), "--runs-dir", str(folder / "runs"),
         ],
         cwd=repository, check=True, stdout=sys.stderr,
     )  # fmt: skip
 
 
-def load(folder: Path) -> Scene:
-    """The scene that `pose` left in a folder."""
+def stages(folder: Path) -> dict[str, dict[str, Any]]:
+    """Node -> what the report of the run in a folder says of it."""
     report = json.loads((folder / "runs" / "scene" / "metrics.json").read_text())
-    found = {stage["node"]: stage["outputs"] for stage in report["stages"]}
+    return {stage["node"]: stage for stage in report["stages"]}
+
+
+def load(folder: Path) -> Scene:
+    """The scene that `run_until` left in a folder."""
+    found = {node: stage["outputs"] for node, stage in stages(folder).items()}
     store = Store(folder / "store")
     posed = store.open(found["pose-estimation"]["posed-capture"], PosedCapture)
     frames = load_posed(posed)
