@@ -1,11 +1,11 @@
 """What fills a hole best: `make bench-joint [STATUE=FOLDER] [BEAR=FOLDER]`.
 
-    python -m benchmarks.joint [--statue FOLDER] [--bear FOLDER] [--scenes SCENE ...] [--rows ROW ...] [--seeds N ...]
-                               [--quick] [--threads N] [--work DIR] [--out FILE]
+    python -m benchmarks.joint [--statue FOLDER] [--bear FOLDER] [--scenes SCENE ...] [--rows ROW ...]
+                               [--seeds N ...] [--quick] [--threads N] [--work DIR] [--out FILE]
 
-Writes `benchmarks/results/joint.json` and prints its table. Every row takes the same capture, mask, masked
-reconstruction and, where it asks one, prior through the stage joint-optimization, with three seeds of that stage. Rows,
-holes and the rule for the default stand in rows.py.
+Writes `benchmarks/results/joint.json`, its table beside it, and prints that. Every row takes the same capture, mask,
+masked reconstruction and, where it asks one, prior through the stage joint-optimization, with three seeds of that
+stage. Rows, holes and the rule for the default stand in rows.py.
 
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
 its checkpoint, and the file is written after every row, one seed of all rows before the next. What a step of score
@@ -42,6 +42,7 @@ from benchmarks.joint.rows import (
     SEEDS,
     TRUTH_EVERY,
     TRUTH_FIRST,
+    Figures,
     Measured,
     Parameters,
     asks_a_prior,
@@ -63,6 +64,7 @@ from inpaint3d.orchestrator.parameters import resolved
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "joint.json"
+FORMATS = {"psnr": ".2f", "fd_lite0": ".0f", "gradient_share": ".2f", "wall_s": ".0f", "cpu_s": ".0f"}
 WORK = REPOSITORY / ".cache" / "bench-joint"
 DEMO = REPOSITORY / "examples" / "demo"
 JOINT, EVALUATION = "joint-optimization", "evaluation"
@@ -173,10 +175,15 @@ def photos_capture(scene: str, photos: Path, work: Path) -> tuple[Path, Path]:
     return folder, mask
 
 
-def table(measured: Measured) -> str:
-    """Mean and spread over the seeds, a table for each scene."""
-    names = (*FIGURES, "wall_s", "cpu_s")
-    lines: list[str] = []
+def table(result: dict[str, Any]) -> str:
+    """The file in words: mean and spread over the seeds, a table for each scene, and what the rule says."""
+    names, measured = (*FIGURES, "wall_s", "cpu_s"), result["measured"]
+    machine, default = result["machine"], result["default"]
+    lines = [
+        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: the stage joint-optimization with one thread, "
+        f"{machine['processor']}, {machine['cores']} cores.",
+        "",
+    ]
     for scene, rows in measured.items():
         lines += [
             f"{scene}: {HOLES[scene]}",
@@ -185,10 +192,18 @@ def table(measured: Measured) -> str:
             "|---" * (len(names) + 2) + "|",
         ]
         for row in (r for r in ROWS if r in rows):
-            cells = [f"{mean(rows[row], n):.3f} ± {spread(rows[row], n):.3f}" for n in names]
+            cells = [cell(rows[row], name) for name in names]
             lines.append(f"| {row} | {len(rows[row])} | {' | '.join(cells)} |")
         lines.append("")
+    lines += [f"Rule: {RULE}", "", f"By it the default is `{default['row']}`. What it does not reach:", ""]
+    lines += [f"- {shortfall}" for shortfall in default["shortfalls"]] or ["- nothing"]
     return "\n".join(lines)
+
+
+def cell(runs: list[Figures], name: str) -> str:
+    form = FORMATS.get(name, ".3f")
+    spread_of = f" ± {spread(runs, name):{form}}" if len(runs) > 1 else ""
+    return f"{mean(runs, name):{form}}{spread_of}"
 
 
 def main() -> None:
@@ -223,8 +238,8 @@ def main() -> None:
                 print(f"{scene}: {row}, seed {seed}", file=sys.stderr, flush=True)
                 add(out, scene, row, bench.measure(row, seed), step, quick=options.quick)
     result = read(out)
-    print(table(result["measured"]))
-    print(json.dumps(result["default"], indent=1))
+    out.with_suffix(".md").write_text(table(result) + "\n")
+    print(table(result))
 
 
 def rows_of(scene: str, kept: dict[str, Any]) -> tuple[str, ...]:
