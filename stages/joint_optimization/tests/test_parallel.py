@@ -77,6 +77,7 @@ def test_ranks_of_torchrun_give_what_the_stage_s_own_ranks_do(
     assert done.returncode == 0, done.stderr
     events = [json.loads(text) for text in done.stdout.splitlines() if text.startswith("{")]
     assert any(e["event"] == "progress" for e in events), "computed again"
+    assert {e["stage"] for e in events} == {"joint-optimization"}
     assert [e["outputs"] for e in events if e["event"] == "done"] == [record.outputs]
     assert store.lookup(record.key) is not None
 

@@ -1,4 +1,7 @@
-"""`pipeline.yaml`: the DAG of stages, their wiring and parameters. No code, no expressions, no conditionals."""
+"""`pipeline.yaml`: the DAG of stages, their wiring and parameters.
+
+No code, no expressions, and no conditions but the presets that a node may be limited to.
+"""
 
 import copy
 import graphlib

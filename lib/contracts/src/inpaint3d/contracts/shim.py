@@ -221,9 +221,11 @@ def _sha256(digest: Digest) -> dict[str, str]:
 
 def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | None, events: TextIO) -> int:
     """Run, and turn whatever happens into an event and an exit code."""
+    # Its name without its stage.yaml, which may be what fails.
+    stage = module.rpartition(".")[2].replace("_", "-")
 
     def say(event: str, **values: Any) -> None:
-        events.write(json.dumps({"event": event, "stage": module.rpartition(".")[2], **values}) + "\n")
+        events.write(json.dumps({"event": event, "stage": stage, **values}) + "\n")
         events.flush()
 
     try:
