@@ -42,7 +42,7 @@ def test_views_are_rendered_at_the_asked_size_and_repeat(tmp_path: Path) -> None
         tmp_path, RadianceField(TINY, 0), [("a", camera)], longest_side=24, tick=lambda d, t: ticks.append((d, t))
     )
     maps = read_exr(tmp_path / view.maps)
-    assert set(maps) == {"depth.Z", "median.Z", "opacity.A"}
+    assert set(maps) == {"depth.Z", "median.Z", "opacity.A", "normal.X", "normal.Y", "normal.Z"}
     assert maps["depth.Z"].shape == (18, 24)
     assert read_image(tmp_path / view.picture).shape == (18, 24, 3)
     assert ticks == [(0, 1)]
@@ -57,11 +57,23 @@ def test_a_camera_is_never_enlarged() -> None:
     assert reduced(camera, 12).fx == 10
 
 
+def test_surfaces_have_normals_and_the_rest_none(tmp_path: Path) -> None:
+    camera = Camera(4, 4, 3, 2, 6, 4, look_at((0.8, 0, 0), (0, 0, 0)))
+    wall, opacity = np.ones((4, 6), np.float32), np.ones((4, 6), np.float32)
+    opacity[:, 4:] = 0.2
+    maps = {"rgb": np.ones((4, 6, 3), np.float32), "depth": wall, "median_depth": wall, "opacity": opacity}
+    found = read_exr(tmp_path / write_view(tmp_path, "a", camera, maps).maps)
+    normal = np.stack([found[f"normal.{axis}"] for axis in "XYZ"], -1)
+    np.testing.assert_allclose(normal[:, :4], np.tile([1.0, 0.0, 0.0], (4, 4, 1)), atol=1e-6)
+    assert not normal[:, 4:].any()
+
+
 def test_view_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     flat = np.ones((4, 4), np.float32)
+    camera = Camera(4, 4, 2, 2, 4, 4, look_at((0.8, 0, 0.3), (0, 0, 0)))
     maps = {"rgb": np.ones((4, 4, 3), np.float32), "depth": flat * np.nan, "median_depth": flat, "opacity": flat}
     with pytest.raises(ValueError, match="16 values are not finite"):
-        write_view(tmp_path, "a", maps)
+        write_view(tmp_path, "a", camera, maps)
 
 
 def test_curve_leaves_cells_empty_where_nothing_was_rendered(tmp_path: Path) -> None:

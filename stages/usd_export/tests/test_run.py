@@ -82,7 +82,7 @@ def field(store: Store, scene: SyntheticScene | None, *, ball: bool = False, opa
         depth = (scene.depths if ball else scene.empty_depths)[i].astype(np.float32)
         picture = (scene.images if ball else scene.empty_images)[i]
         maps = {"rgb": picture, "depth": depth, "median_depth": depth, "opacity": np.full_like(depth, opacity)}
-        views.append(radiance_view(folder, name, maps))
+        views.append(radiance_view(folder, name, scene.cameras[i], maps))
     metadata = RadianceFieldArtifact(
         label="joint-sds", spec=SPEC, views=tuple(views), steps=1, seed=0, backend="reference"
     )

@@ -13,10 +13,13 @@ from inpaint3d.contracts.artifacts import FieldSpec, FieldView
 from inpaint3d.radiance.architecture import parameter_shapes
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import write_exr, write_png
+from inpaint3d.scene.normals import normals_of
 
 if TYPE_CHECKING:
     from inpaint3d.radiance.fields import RadianceField
 
+# Where more light goes through than stops there is no surface to have a normal.
+OPAQUE = 0.5
 CURVE_COLUMNS = ("step", "rays", "loss", "psnr")
 
 
@@ -36,17 +39,26 @@ def write_views(
     for index, (name, camera) in enumerate(views):
         if tick is not None:
             tick(index, len(views))
-        written.append(write_view(folder, name, render_view(field, reduced(camera, longest_side), block=block)))
+        small = reduced(camera, longest_side)
+        written.append(write_view(folder, name, small, render_view(field, small, block=block)))
     return tuple(written)
 
 
-def write_view(folder: Path, name: str, maps: Mapping[str, NDArray[np.floating]]) -> FieldView:
-    """Write the maps that `render_view` returns: views/NAME.exr (depth.Z, median.Z, opacity.A) and views/NAME.png."""
+def write_view(folder: Path, name: str, camera: Camera, maps: Mapping[str, NDArray[np.floating]]) -> FieldView:
+    """Write what `render_view` returns of a camera: its maps in views/NAME.exr, its colour in views/NAME.png.
+
+    Normals are those of the median depth.
+    """
     view = FieldView(name=name, maps=f"views/{name}.exr", picture=f"views/{name}.png")
+    seen = np.where(maps["opacity"] > OPAQUE, maps["median_depth"], np.nan)
+    x, y, z = np.moveaxis(normals_of(camera, seen), -1, 0)
     write_exr(
         folder / view.maps,
-        {"depth.Z": maps["depth"], "median.Z": maps["median_depth"], "opacity.A": maps["opacity"]},
-    )
+        {
+            "depth.Z": maps["depth"], "median.Z": maps["median_depth"], "opacity.A": maps["opacity"],
+            "normal.X": x, "normal.Y": y, "normal.Z": z,
+        },
+    )  # fmt: skip
     write_png(folder / view.picture, maps["rgb"])
     return view
 

@@ -23,7 +23,7 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "posed-capture": ("1.0", PosedCapture),
     "posed-truth": ("1.0", PosedTruth),
     "effect-plan": ("1.0", EffectPlan),
-    "radiance-field": ("1.0", RadianceFieldArtifact),
+    "radiance-field": ("1.1", RadianceFieldArtifact),
     "mask-set": ("1.0", MaskSet),
     "diffusion-prior": ("1.0", DiffusionPrior),
     "evaluation": ("1.0", Evaluation),

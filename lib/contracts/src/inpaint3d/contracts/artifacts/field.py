@@ -50,7 +50,8 @@ class FieldView(Closed):
 
     name: FrameName
     maps: RelativePath = Field(
-        description="views/NAME.exr: depth.Z (along the axis), median.Z, opacity.A; float32; scene units"
+        description="views/NAME.exr: depth.Z (along the axis), median.Z, opacity.A, and since 1.1 the normal.X, .Y, .Z "
+        "of the median depth (world axes, towards the camera; 0 where opacity is under a half); float32; scene units"
     )
     picture: RelativePath = Field(description="views/NAME.png: the rendered colour, mean code")
 

@@ -27,8 +27,12 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     save_file(stub_weights(SPEC, ctx.seed), folder / "weights.safetensors")
     write_curve(folder, [[1, 100, 0.5, float("nan")], [2, 200, 0.25, 20.0]])
     views = [
-        write_view(folder, name, {"rgb": image, "depth": depth, "median_depth": depth, "opacity": 0 * depth + 1})
-        for name, image, depth in zip(scene.names, scene.empty_images, scene.empty_depths, strict=True)
+        write_view(
+            folder, name, camera, {"rgb": image, "depth": depth, "median_depth": depth, "opacity": 0 * depth + 1}
+        )
+        for name, camera, image, depth in zip(
+            scene.names, scene.cameras, scene.empty_images, scene.empty_depths, strict=True
+        )
     ]
     outputs.write(
         "radiance-field",

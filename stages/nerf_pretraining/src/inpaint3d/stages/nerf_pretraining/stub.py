@@ -26,9 +26,9 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     scene = synthetic_scene()
     folder = outputs.folder("radiance-field")
     views = []
-    for name, image, depth in zip(scene.names, scene.images, scene.depths, strict=True):
+    for name, camera, image, depth in zip(scene.names, scene.cameras, scene.images, scene.depths, strict=True):
         maps = {"rgb": image, "depth": depth, "median_depth": depth, "opacity": np.ones_like(depth)}
-        views.append(write_view(folder, name, maps))
+        views.append(write_view(folder, name, camera, maps))
     save_file(stub_weights(SPEC, ctx.seed), folder / "weights.safetensors")
     write_curve(folder, [[1, 1, 0.0, float("nan")]])
     metadata = RadianceFieldArtifact(
