@@ -13,7 +13,7 @@ import torch
 
 from inpaint3d.contracts.context import Inputs
 from inpaint3d.diffusion.training import step_generators
-from inpaint3d.radiance.optim import make_optimizer
+from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.training import descend
@@ -59,7 +59,7 @@ def _median(work: Callable[[int], None]) -> float:
 
 
 def _steps(problem: Problem) -> Callable[[int], None]:
-    optimizer = make_optimizer(problem.field, hash_decay=problem.config.hash_decay_weight)
+    optimizer = Adam(problem.field, hash_decay=problem.config.hash_decay_weight)
 
     def work(step: int) -> None:
         # One step on, since the first has no weight yet and so no distillation term.

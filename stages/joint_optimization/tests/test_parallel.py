@@ -20,7 +20,7 @@ from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.stage import load_stage
 from inpaint3d.contracts.store import Store
 from inpaint3d.radiance.io import load_field
-from inpaint3d.radiance.optim import learning_rate, make_optimizer
+from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.parallel import Ranks
 from inpaint3d.stages.joint_optimization.rank import step_along
@@ -41,7 +41,7 @@ def test_two_ranks_step_along_the_mean_of_their_gradients(store: Store, inputs: 
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
     problem, _ = pose(config, Inputs(store, spec, wired), 0, "cpu")
     field, before = problem.field, [p.detach().clone() for p in problem.field.parameters()]
-    optimizer = make_optimizer(field, hash_decay=config.hash_decay_weight)
+    optimizer = Adam(field, hash_decay=config.hash_decay_weight)
     for step in range(config.steps):
         for parameter in field.parameters():
             parameter.grad = None
@@ -52,8 +52,7 @@ def test_two_ranks_step_along_the_mean_of_their_gradients(store: Store, inputs: 
             patches.append(figures.get("t"))
         assert step < 2 or patches[0] != patches[1], "each rank has a patch of its own"
         rate = learning_rate(step, initial=1e-2, final=1e-3, steps=config.steps, warmup=config.learning_rate_warmup)
-        optimizer.set_rate(rate)
-        optimizer.step()
+        optimizer.step(rate)
     for name, parameter in field.named_parameters():
         torch.testing.assert_close(got.get_parameter(name), parameter)
     moved = max(float((a - b.detach()).abs().max()) for a, b in zip(before, field.parameters(), strict=True))

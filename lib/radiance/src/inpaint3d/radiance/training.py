@@ -94,15 +94,14 @@ def descend(
     them: no parameter is touched by them.
     """
     step = optimizer.steps
-    optimizer.zero_grad(set_to_none=True)
+    field.zero_grad()
     values = {name: float(term.detach()) for name, term in terms.items()}
     for name, value in values.items():
         if not math.isfinite(value):
             non_finite[f"loss.{name}"] = non_finite.get(f"loss.{name}", 0) + 1
     if not non_finite:
         torch.stack(list(terms.values())).sum().backward()
-        optimizer.set_rate(rate)
-        optimizer.step()
+        optimizer.step(rate)
         if field.density_grid is not None:
             field.density_grid.learn(field.backend)
         names = {id(parameter): name for name, parameter in field.named_parameters()}

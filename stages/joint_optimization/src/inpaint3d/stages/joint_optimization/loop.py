@@ -13,7 +13,7 @@ from inpaint3d.contracts.errors import BadInputError, InterruptedRun
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.optim import learning_rate, make_optimizer
+from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.training import descend, proposal_anneal
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
 from inpaint3d.stages.joint_optimization.config import Config
@@ -134,13 +134,13 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
     """
     field, config = problem.field, problem.config
     held_out = HeldOut(problem.scene.test, config.score_pixels, str(field.device))
-    optimizer = make_optimizer(
+    optimizer = Adam(
         field,
         network_scale=config.network_rate_share,
         hash_decay=config.hash_decay_weight,
         sparse=config.sparse_adam,
+        before_step=lambda: ranks.average(field.parameters()),
     )
-    optimizer.register_step_pre_hook(lambda *_: ranks.average(field.parameters()))
     # A checkpoint holds a stream; here every step has its own.
     unused = torch.Generator()
     checkpoint = ctx.work / "checkpoint.safetensors"

@@ -12,7 +12,7 @@ from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.optim import Adam, learning_rate, make_optimizer
+from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.rays import joined
 from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.sightings import Sightings, line_of_sight_loss
@@ -71,7 +71,7 @@ def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, c
 
 def optimizer_of(field: RadianceField, config: Config) -> Adam:
     """The optimiser that the parameters ask for."""
-    return make_optimizer(
+    return Adam(
         field,
         network_scale=config.network_rate_share,
         hash_decay=config.hash_decay_weight,
