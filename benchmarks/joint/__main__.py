@@ -195,6 +195,8 @@ def table(result: dict[str, Any]) -> str:
             cells = [cell(rows[row], name) for name in names]
             lines.append(f"| {row} | {len(rows[row])} | {' | '.join(cells)} |")
         lines.append("")
+    if step := result["sds_step"]:
+        lines += [f"A step of `sds` takes {step['ratio']:.2f} times what its render and its prior take (cost.py).", ""]
     lines += [f"Rule: {RULE}", "", f"By it the default is `{default['row']}`. What it does not reach:", ""]
     lines += [f"- {shortfall}" for shortfall in default["shortfalls"]] or ["- nothing"]
     return "\n".join(lines)
