@@ -180,7 +180,7 @@ def table(result: dict[str, Any]) -> str:
     names, measured = (*FIGURES, "wall_s", "cpu_s"), result["measured"]
     machine, default = result["machine"], result["default"]
     lines = [
-        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: the stage joint-optimization with one thread, "
+        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: seconds of the stage joint-optimization, "
         f"{machine['processor']}, {machine['cores']} cores.",
         "",
     ]

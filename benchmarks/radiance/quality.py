@@ -39,10 +39,15 @@ def measure(capture: Path, folder: Path, preset: str) -> dict[str, Any]:
     stages = scenes.stages(folder)
     store, took = Store(folder / "store"), stages["nerf-pretraining"]
     artifact = store.open(took["outputs"]["radiance-field"], RadianceFieldArtifact)
+    record = store.lookup(took["key"])
+    if record is None:
+        raise SystemExit(f"{folder} left no record of {took['key']}; remove it and run again")
     field = load_field(artifact.path(artifact.metadata.weights), artifact.metadata.spec).eval()
     posed = store.open(stages["pose-estimation"]["outputs"]["posed-capture"], PosedCapture)
     scores: list[tuple[float, float, float]] = []
     held_out = [view for view in load_posed(posed) if view.split == "test"]
+    if not held_out:
+        raise SystemExit(f"{capture} gave no held-out view; take one with more photos")
     for view in held_out:
         truth, valid = view.image(), view.valid()
         # What the photo does not show counts as shown right.
@@ -57,7 +62,7 @@ def measure(capture: Path, folder: Path, preset: str) -> dict[str, Any]:
         **means,
         "depth_error": artifact.metadata.depth_error,
         "floaters": artifact.metadata.floaters,
-        "cpu_s": took["cpu_s"],
+        "cpu_s": record.timings["cpu_s"],
     }
 
 

@@ -1,6 +1,7 @@
 """The rule that chooses the default, on figures made up for it."""
 
 import pytest
+from benchmarks.joint.__main__ import add, read, rows_of
 from benchmarks.joint.rows import (
     BASELINES,
     ESTIMATORS,
@@ -77,3 +78,17 @@ def test_the_paper_s_rows_take_its_schedule_and_leave_the_sizes_alone():
 def test_rows_that_ask_no_prior_are_known():
     unasked = {row for row in ROWS if not asks_a_prior(row)}
     assert unasked == {"no-prior", "classical", "features-nearest", "features-sliced", "reference"}
+
+
+def test_a_scene_outside_the_rule_changes_no_choice_and_takes_the_chosen_row_alone(tmp_path):
+    out = tmp_path / "joint.json"
+    for scene, row, lpips in (("demo", "sds", 0.3), ("bear", "sds", 0.5), ("bear", "ism", 0.1)):
+        add(out, scene, row, GOOD | {"seed": 0, "lpips_vgg": lpips}, None, quick=False)
+    kept = read(out)
+    assert kept["default"]["row"] == "sds"
+    assert not any("bear" in shortfall for shortfall in kept["default"]["shortfalls"])
+    assert kept["measured"]["bear"]["ism"][0]["lpips_vgg"] == 0.1
+    assert rows_of("bear", kept) == (*BASELINES, "sds")
+    assert rows_of("demo", kept) == ROWS
+    with pytest.raises(SystemExit, match="there is none yet"):
+        rows_of("bear", {})
