@@ -16,7 +16,7 @@ $(UV):
 	python3 -m venv $(UV_HOME)
 	$(UV_HOME)/bin/pip install --quiet uv
 
-.venv/.installed: $(UV) pyproject.toml uv.lock $(wildcard lib/*/pyproject.toml stages/*/pyproject.toml orchestrator/pyproject.toml) $(shell find lib/kernels -name '*.cpp' -o -name '*.h' -o -name 'CMakeLists.txt')
+.venv/.installed: $(UV) pyproject.toml uv.lock $(wildcard lib/*/pyproject.toml stages/*/pyproject.toml orchestrator/pyproject.toml) $(shell find lib/kernels -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt')
 	$(UV) sync --locked
 	@touch $@
 

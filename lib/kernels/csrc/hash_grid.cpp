@@ -6,14 +6,15 @@
 namespace inpaint3d::INPAINT3D_ISA {
 namespace {
 
-constexpr int kBatch = 64;           // points whose corners are found together; a multiple of every kLanes
+// Points whose corners are found together, a multiple of every kLanes: the lines of one batch on their way and those of
+// the batch in work fit a core's first cache.
+constexpr int kBatch = 32;
 // Points handled level by level, at most: many, since a level's entries are then in L2 for most.
 constexpr int64_t kBlock = 1 << 16;
 // Numbers of a point beyond which a block keeps its levels in planes of their own.
 constexpr int64_t kLongRow = 16;
-// Levels of fewer numbers need no prefetch; nor do entries of more than two, whose reads are already as many as the core
-// keeps in flight (measured).
-constexpr int64_t kInCache = 1 << 15;
+// Levels of fewer numbers need no prefetch.
+constexpr int64_t kInCache = 1 << 17;
 
 struct Corners {
   alignas(64) uint32_t index[8][kBatch];
@@ -138,7 +139,7 @@ inline void prefetch(const Corners& corners, int count, const float* table) {
 template <int channels, class Visit>
 inline void for_each_batch(const float* points, int64_t start, int64_t end, const Level& level, const float* entries,
                            const Visit& visit) {
-  const bool ahead = channels <= 2 && int64_t{level.size} * channels >= kInCache;
+  const bool ahead = int64_t{level.size} * channels >= kInCache;
   Batch batch[2];
   Corners corners[2];
   int now = 0;
