@@ -1,6 +1,7 @@
 """What a distilled step costs beyond what it must: its own render, forward and backward, and the prior's evaluation.
 
-In CPU seconds of one process, whole steps and their parts over the same rays and the same patch.
+In CPU seconds of one process: whole steps and their parts in turn, over the same rays and the same patch, so that a
+machine that slows down meanwhile slows all of them.
 """
 
 import statistics
@@ -25,7 +26,7 @@ from inpaint3d.stages.joint_optimization.patches import Window
 from inpaint3d.stages.joint_optimization.run import pose
 from inpaint3d.stages.joint_optimization.schedule import window_span
 
-STEPS, WARM_UP = 6, 2
+STEPS, WARM_UP = 24, 4
 RATE = 1e-3
 
 
@@ -37,9 +38,9 @@ def sds_step(inputs: Inputs, *, guidance: float) -> dict[str, Any]:
     guide = problem.guide
     if not isinstance(guide, PriorGuide):
         raise TypeError(f"score distillation is guided by a prior, not by {type(guide).__name__}")
-    whole = _median(_steps(problem))
-    shown = _median(lambda step: _rendered(problem, step))
-    asked = _median(lambda step: _evaluated(guide, guidance, step))
+    works = (_steps(problem), lambda step: _rendered(problem, step), lambda step: _evaluated(guide, guidance, step))
+    turns = [[_spent(work, step) for work in works] for step in range(WARM_UP + STEPS)]
+    whole, shown, asked = (statistics.median(times) for times in zip(*turns[WARM_UP:], strict=True))
     return {
         "step_cpu_s": whole,
         "render_cpu_s": shown,
@@ -49,13 +50,10 @@ def sds_step(inputs: Inputs, *, guidance: float) -> dict[str, Any]:
     }
 
 
-def _median(work: Callable[[int], None]) -> float:
-    spent = []
-    for step in range(WARM_UP + STEPS):
-        start = time.process_time()
-        work(step)
-        spent.append(time.process_time() - start)
-    return statistics.median(spent[WARM_UP:])
+def _spent(work: Callable[[int], None], step: int) -> float:
+    start = time.process_time()
+    work(step)
+    return time.process_time() - start
 
 
 def _steps(problem: Problem) -> Callable[[int], None]:
