@@ -15,9 +15,13 @@ EPS = 1e-15
 def learning_rate(
     step: int, *, initial: float = 1e-2, final: float = 1e-3, steps: int = 2200, warmup: int = 100
 ) -> float:
-    """Exponential from initial to final over `steps`, then constant; times a linear warm-up. Steps count from 0."""
-    share = min(step / max(steps, 1), 1.0)
-    return initial * (final / initial) ** share * min((step + 1) / max(warmup, 1), 1.0)
+    """Exponential from initial to final over `steps`; times a linear warm-up. Steps count from 0.
+
+    Beyond `steps`, where the paper says nothing, it falls as 1 / step: at a constant one a field wanders for good.
+    """
+    steps = max(steps, 1)
+    beyond = max(step / steps, 1.0)
+    return initial * (final / initial) ** min(step / steps, 1.0) / beyond * min((step + 1) / max(warmup, 1), 1.0)
 
 
 class Adam:
