@@ -116,7 +116,8 @@ class Bench:
             if m.method == label and FIGURES.get(m.name) == protocol.name
         }
         took = {name: joint.timings[name] for name in ("wall_s", "cpu_s")}
-        return figures | took | {"seed": seed, "key": joint.key, "commit": commit()["commit"]}
+        of = {"seed": seed, "key": joint.key, "commit": commit()["commit"], "processor": this_machine().processor}
+        return figures | took | of
 
     def sds_step(self) -> dict[str, Any]:
         """What a step of score distillation costs here, in CPU seconds (cost.py)."""
@@ -178,22 +179,23 @@ def photos_capture(scene: str, photos: Path, work: Path) -> tuple[Path, Path]:
 def table(result: dict[str, Any]) -> str:
     """The file in words: mean and spread over the seeds, a table for each scene, and what the rule says."""
     names, measured = (*FIGURES, "wall_s", "cpu_s"), result["measured"]
-    machine, default = result["machine"], result["default"]
+    default = result["default"]
     lines = [
         "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: seconds of the stage joint-optimization, "
-        f"{machine['processor']}, {machine['cores']} cores.",
+        f"{result['machine']['cores']} cores of the row's processor.",
         "",
     ]
     for scene, rows in measured.items():
         lines += [
             f"{scene}: {HOLES[scene]}",
             "",
-            f"| row | seeds | {' | '.join(names)} |",
-            "|---" * (len(names) + 2) + "|",
+            f"| row | seeds | {' | '.join(names)} | processor |",
+            "|---" * (len(names) + 3) + "|",
         ]
         for row in (r for r in ROWS if r in rows):
             cells = [cell(rows[row], name) for name in names]
-            lines.append(f"| {row} | {len(rows[row])} | {' | '.join(cells)} |")
+            processors = ", ".join(sorted({run["processor"] for run in rows[row]}))
+            lines.append(f"| {row} | {len(rows[row])} | {' | '.join(cells)} | {processors} |")
         lines.append("")
     if step := result["sds_step"]:
         lines += [f"A step of `sds` takes {step['ratio']:.2f} times what its render and its prior take (cost.py).", ""]

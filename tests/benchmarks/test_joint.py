@@ -1,10 +1,11 @@
 """The rule that chooses the default, on figures made up for it."""
 
 import pytest
-from benchmarks.joint.__main__ import add, read, rows_of
+from benchmarks.joint.__main__ import add, read, rows_of, table
 from benchmarks.joint.rows import (
     BASELINES,
     ESTIMATORS,
+    FIGURES,
     ROWS,
     Figures,
     Measured,
@@ -92,3 +93,13 @@ def test_a_scene_outside_the_rule_changes_no_choice_and_takes_the_chosen_row_alo
     assert rows_of("demo", kept) == ROWS
     with pytest.raises(SystemExit, match="there is none yet"):
         rows_of("bear", {})
+
+
+def test_a_row_of_the_table_names_the_processors_it_was_timed_on(tmp_path):
+    out = tmp_path / "joint.json"
+    for seed, processor in enumerate(("Alpha", "Beta")):
+        run = GOOD | dict.fromkeys(FIGURES, 0.5) | {"wall_s": 1.0, "cpu_s": 1.0, "seed": seed, "processor": processor}
+        add(out, "demo", "sds", run, None, quick=False)
+    (row,) = [line for line in table(read(out)).splitlines() if line.startswith("| sds ")]
+    assert row.startswith("| sds | 2 | ")
+    assert row.endswith(" | Alpha, Beta |")
