@@ -7,26 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import (
-    DiffusionPrior,
-    Effect,
-    EffectPlan,
-    LensModel,
-    MaskSet,
-    MaskView,
-    PosedCapture,
-    PriorSpec,
-    Registration,
-)
-from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.artifacts import PriorSpec
 from inpaint3d.contracts.store import Store
-from inpaint3d.diffusion.io import save_prior
-from inpaint3d.diffusion.prior import InpaintingPrior
-from inpaint3d.scene.capture_io import write_points, write_view
-from inpaint3d.scene.image_io import write_mask
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
-
-PRIOR = PriorSpec(size=16, width=8, multipliers=(1, 2), blocks=(1, 1), attention=(False, False))
+from tests.room_artifacts import PRIOR, put_masks, put_plan, put_posed, put_prior
 
 
 @pytest.fixture(scope="session")
@@ -42,59 +26,6 @@ def prior_spec() -> PriorSpec:
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "store")
-
-
-def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:
-    folder = store.private_folder()
-    frames = [
-        write_view(folder, name, image, camera, split="test" if i == 2 else "train")
-        for i, (name, image, camera) in enumerate(zip(room.names, images, room.cameras, strict=True))
-    ]
-    write_points(folder / "points.safetensors", room.points)
-    metadata = PosedCapture(
-        frames=tuple(frames),
-        ordered=True,
-        lens=LensModel(model="PINHOLE", params=(40.0, 40.0, 24.0, 18.0), evidence="synthetic"),
-        registration=Registration(
-            source="known",
-            given=len(frames),
-            registered=len(frames),
-            mean_reprojection_error_px=0.0,
-            points=len(room.points),
-            median_triangulation_angle_deg=20.0,
-        ),
-        source_from_normalised_scale=1.0,
-        source_from_normalised=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)),
-        centre_depth=0.85,
-        up_evidence="synthetic",
-    )
-    return store.put(folder, "posed-capture", metadata)
-
-
-def put_masks(store: Store, names: list[str], masks: np.ndarray) -> Digest:
-    folder = store.private_folder()
-    views = []
-    for name, mask in zip(names, masks, strict=True):
-        write_mask(folder / "masks" / f"{name}.png", mask)
-        views.append(MaskView(name=name, mask=f"masks/{name}.png", share=float(mask.mean())))
-    metadata = MaskSet(kind="per-view", task="inpaint", origin="imported", method="synthetic", views=tuple(views))
-    return store.put(folder, "mask-set", metadata)
-
-
-def put_plan(store: Store, *active: str) -> Digest:
-    names = ("contraction", "lens-distortion", "exposure", "view-dependence")
-    effects = [
-        Effect(name=n, state="on" if n in active else "off", evidence={}, reason="a test", cost_ratio=1.0)
-        for n in names
-    ]
-    return store.put(store.private_folder(), "effect-plan", EffectPlan(effects=tuple(effects)))
-
-
-def put_prior(store: Store, spec: PriorSpec = PRIOR) -> Digest:
-    folder = store.private_folder()
-    save_prior(folder / "weights.safetensors", InpaintingPrior(spec, seed=0))
-    (folder / "training_curve.csv").write_text("step,loss,held_out_loss\n")
-    return store.put(folder, "diffusion-prior", DiffusionPrior(spec=spec, steps=0, seed=0, trained_on="nothing"))
 
 
 @pytest.fixture

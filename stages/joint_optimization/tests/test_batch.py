@@ -7,12 +7,12 @@ from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
-from inpaint3d.stages.joint_optimization.scene import SceneView
+from inpaint3d.scene.masked_views import MaskedView
 
 
-def views_of(room: SyntheticScene) -> list[SceneView]:
+def views_of(room: SyntheticScene) -> list[MaskedView]:
     return [
-        SceneView(n, c, np.where(m[..., None], 0, i).astype(np.float32), m, ~m)
+        MaskedView(n, c, np.where(m[..., None], 0, i).astype(np.float32), m, ~m)
         for n, c, i, m in zip(room.names, room.cameras, room.images, room.object_masks, strict=True)
     ]
 
@@ -92,6 +92,6 @@ def test_depth_patches_are_squares_of_neighbouring_pixels_of_one_view(room: Synt
 
 
 def test_without_masks_every_ray_has_a_colour(room: SyntheticScene) -> None:
-    plain = [SceneView(v.name, v.camera, v.image, np.zeros_like(v.hole), v.known | v.hole) for v in views_of(room)]
+    plain = [MaskedView(v.name, v.camera, v.image, np.zeros_like(v.hole), v.known | v.hole) for v in views_of(room)]
     batch = RayBank(plain, "cpu").draw(64, patches=1, patch_size=4, generator=torch.Generator().manual_seed(0))
     assert len(batch.target) == 64

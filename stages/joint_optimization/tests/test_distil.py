@@ -13,8 +13,8 @@ from inpaint3d.radiance.rendering import render
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide
-from inpaint3d.stages.joint_optimization.patches import Window
-from inpaint3d.stages.joint_optimization.scene import SceneView
+from inpaint3d.scene.windows import Window
+from inpaint3d.scene.masked_views import MaskedView
 
 WINDOW = Window(0, 8.0, 2.0, 2.0, 16)
 SPEC = FieldSpec(
@@ -55,12 +55,12 @@ def guide(request: pytest.FixtureRequest, prior: InpaintingPrior) -> PriorGuide:
 
 
 @pytest.fixture
-def view(room: SyntheticScene) -> SceneView:
+def view(room: SyntheticScene) -> MaskedView:
     hole = room.object_masks[0]
-    return SceneView("a", room.cameras[0], np.where(hole[..., None], 0, room.images[0]), hole, ~hole)
+    return MaskedView("a", room.cameras[0], np.where(hole[..., None], 0, room.images[0]), hole, ~hole)
 
 
-def distilled(field: RadianceField, guide: PriorGuide, view: SceneView, **changes: object) -> Distilled:
+def distilled(field: RadianceField, guide: PriorGuide, view: MaskedView, **changes: object) -> Distilled:
     settings = {"timesteps": (0.3, 0.5), "specular_scale": 1.0, "block": 4096, "generator": generator()} | changes
     return distil(field, guide, view, WINDOW, **settings)  # pyright: ignore[reportArgumentType]
 
@@ -106,10 +106,10 @@ def test_draws_are_fresh_at_every_call(guide: PriorGuide) -> None:
 
 
 def test_condition_is_the_rendered_patch_not_the_photo(
-    field: RadianceField, guide: PriorGuide, view: SceneView
+    field: RadianceField, guide: PriorGuide, view: MaskedView
 ) -> None:
     """S2: the photo's colours cannot matter, the field's known region does."""
-    other = SceneView(view.name, view.camera, 1 - view.image, view.hole, view.known)
+    other = MaskedView(view.name, view.camera, 1 - view.image, view.hole, view.known)
     push = distilled(field, guide, view).push
     assert distilled(field, guide, other).push == push
     with torch.no_grad():
@@ -118,7 +118,7 @@ def test_condition_is_the_rendered_patch_not_the_photo(
 
 
 def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
-    field: RadianceField, prior: InpaintingPrior, view: SceneView
+    field: RadianceField, prior: InpaintingPrior, view: MaskedView
 ) -> None:
     """S4: d(surrogate)/d(field) is the answer, a constant, times d(patch)/d(field); no gradient enters the prior."""
     assert all(p.requires_grad for p in prior.parameters())
@@ -130,7 +130,7 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
     stream = generator()
     behind = torch.rand(3, generator=stream)
     jitter = generator(int(torch.randint(2**62, (1,), generator=stream)))
-    hole = torch.from_numpy(WINDOW.look_up(view.hole))
+    hole = torch.from_numpy(WINDOW.sample(view.hole))
     rays = camera_rays(view.camera, WINDOW.pixels())
     inside, outside = (Rays(rays.origins[m], rays.directions[m]) for m in (hole, ~hole))
     patch = torch.empty(16, 16, 3)
@@ -146,7 +146,7 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
 
 
 def test_blocks_rendered_again_give_the_gradient_of_blocks_kept_in_memory(
-    field: RadianceField, guide: PriorGuide, view: SceneView, monkeypatch: pytest.MonkeyPatch
+    field: RadianceField, guide: PriorGuide, view: MaskedView, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second rendering of a block draws the jitter of the first: else its gradient belongs to another picture."""
     again = distilled(field, guide, view, block=7)
@@ -160,7 +160,7 @@ def test_blocks_rendered_again_give_the_gradient_of_blocks_kept_in_memory(
 
 
 def test_diffuse_only_start_leaves_the_specular_network_alone(
-    field: RadianceField, guide: PriorGuide, view: SceneView
+    field: RadianceField, guide: PriorGuide, view: MaskedView
 ) -> None:
     """S10."""
     specular = [n.startswith("specular") for n, _ in field.named_parameters()]
@@ -171,7 +171,7 @@ def test_diffuse_only_start_leaves_the_specular_network_alone(
 
 
 def test_renders_for_the_prior_take_the_mean_appearance(
-    field: RadianceField, guide: PriorGuide, view: SceneView
+    field: RadianceField, guide: PriorGuide, view: MaskedView
 ) -> None:
     """N6: every view's code gets the same share of the gradient."""
     names = [n for n, _ in field.named_parameters()]

@@ -26,16 +26,16 @@ from inpaint3d.stages.joint_optimization.guidance import (
     PriorGuide,
     evaluations,
 )
-from inpaint3d.stages.joint_optimization.patches import Window, draw_window
-from inpaint3d.stages.joint_optimization.scene import SceneView
+from inpaint3d.scene.windows import Window, draw_window
+from inpaint3d.scene.masked_views import MaskedView
 
 TIMES = (0.4, 0.6)
 
 
 @pytest.fixture(scope="module")
-def views(room: SyntheticScene) -> list[SceneView]:
+def views(room: SyntheticScene) -> list[MaskedView]:
     return [
-        SceneView(n, c, np.where(m[..., None], 0, i).astype(np.float32), m, ~m)
+        MaskedView(n, c, np.where(m[..., None], 0, i).astype(np.float32), m, ~m)
         for n, c, i, m in zip(room.names, room.cameras, room.images, room.object_masks, strict=True)
     ]
 
@@ -49,9 +49,9 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def window_of(views: list[SceneView], index: int, size: int) -> Window:
+def window_of(views: list[MaskedView], index: int, size: int) -> Window:
     view = views[index]
-    window = draw_window(view.hole, view.known, index, size=size, span=0.7, least_known=0.2, rng=None)
+    window = draw_window(view.hole, view.known, index, size=size, span=0.7, min_known=0.2, rng=None)
     assert window is not None
     return window
 
@@ -82,12 +82,12 @@ def test_evaluations_are_those_that_are_made(prior: InpaintingPrior, estimator: 
     assert len(made) + backward == evaluations(estimator, guidance=guidance, steps=3)
 
 
-def test_a_dataset_keeps_its_picture_until_it_is_updated(prior: InpaintingPrior, views: list[SceneView]) -> None:
-    windows = fixed_windows(views, size=16, span=0.7, least_known=0.2)
+def test_a_dataset_keeps_its_picture_until_it_is_updated(prior: InpaintingPrior, views: list[MaskedView]) -> None:
+    windows = fixed_windows(views, size=16, span=0.7, min_known=0.2)
     guide = DatasetGuide(prior, windows, guidance=1.0, steps=2, update_every=3)
     window = windows[1]
     assert window is not None
-    hole, stream = torch.from_numpy(window.look_up(views[1].hole)), generator()
+    hole, stream = torch.from_numpy(window.sample(views[1].hole)), generator()
     patch = torch.rand(16, 16, 3, generator=generator(1))
     gradients = [guide.gradient(patch, hole, window, TIMES, stream)[0] for _ in range(4)]
     assert torch.equal(gradients[0], gradients[1])
@@ -98,43 +98,11 @@ def test_a_dataset_keeps_its_picture_until_it_is_updated(prior: InpaintingPrior,
     assert torch.equal(resumed.gradient(patch, hole, window, TIMES, generator(9))[0], gradients[3])
 
 
-def test_fixed_windows_cover_as_much_of_the_hole_as_any(views: list[SceneView]) -> None:
-    for index, window in enumerate(fixed_windows(views, size=16, span=0.7, least_known=0.2)):
-        assert window is not None
-        rng = np.random.default_rng(index)
-        view = views[index]
-        drawn = [
-            draw_window(view.hole, view.known, index, size=16, span=0.7, least_known=0.2, rng=rng) for _ in range(20)
-        ]
-        shares = [w.look_up(view.hole).mean() for w in drawn if w is not None]
-        # Sampling every other pixel of a window counts a hole's border one way or the other.
-        assert window.look_up(view.hole).mean() >= max(shares) - 0.03
-
-
-def test_pictures_made_beforehand_share_their_noise(prior: InpaintingPrior, views: list[SceneView]) -> None:
-    """E4: the same view twice gives the same picture, and known pixels are the photo's."""
-    twice = [views[0], views[0], views[1]]
-    windows = fixed_windows(twice, size=16, span=0.7, least_known=0.2)
-    a, b, other = sampled_views(twice, windows, prior, steps=3, guidance=1.0, seed=4)
-    (again, _, _) = sampled_views(twice, windows, prior, steps=3, guidance=1.0, seed=5)
-    assert a is not None
-    assert b is not None
-    assert other is not None
-    assert again is not None
-    assert torch.equal(a, b)
-    assert not torch.equal(a, other)
-    assert not torch.equal(a, again)
-    window = windows[0]
-    assert window is not None
-    known = torch.from_numpy(window.look_up(views[0].known))
-    torch.testing.assert_close(a[known], torch.from_numpy(window.look_up(views[0].image))[known])
-
-
-def test_a_picture_pulls_the_hole_by_lpips_alone(room: SyntheticScene, views: list[SceneView]) -> None:
+def test_a_picture_pulls_the_hole_by_lpips_alone(room: SyntheticScene, views: list[MaskedView]) -> None:
     """What the field shows outside the hole does not matter; inside, the picture is approached."""
     window = window_of(views, 0, 32)
-    hole = torch.from_numpy(window.look_up(views[0].hole))
-    picture = torch.from_numpy(window.look_up(room.empty_images[0])).float()
+    hole = torch.from_numpy(window.sample(views[0].hole))
+    picture = torch.from_numpy(window.sample(room.empty_images[0])).float()
     guide = PictureGuide([picture], [window], 32)
     start = torch.where(hole[..., None], 0.5, picture)
     elsewhere = torch.where(hole[..., None], start, 1 - picture)
@@ -145,10 +113,10 @@ def test_a_picture_pulls_the_hole_by_lpips_alone(room: SyntheticScene, views: li
     assert after < 0.7 * before
 
 
-def test_a_whole_picture_pulls_as_its_window_does(room: SyntheticScene, views: list[SceneView]) -> None:
+def test_a_whole_picture_pulls_as_its_window_does(room: SyntheticScene, views: list[MaskedView]) -> None:
     window = window_of(views, 0, 32)
-    hole = torch.from_numpy(window.look_up(views[0].hole))
-    whole, part = room.empty_images[0], torch.from_numpy(window.look_up(room.empty_images[0]))
+    hole = torch.from_numpy(window.sample(views[0].hole))
+    whole, part = room.empty_images[0], torch.from_numpy(window.sample(room.empty_images[0]))
     patch = torch.rand(32, 32, 3, generator=generator(1))
     one, other = (
         guide.gradient(patch, hole, window, TIMES, generator())[0]
@@ -160,27 +128,16 @@ def test_a_whole_picture_pulls_as_its_window_does(room: SyntheticScene, views: l
 
 @pytest.mark.parametrize("matching", ["nearest", "sliced"])
 def test_features_pull_the_hole_to_colours_of_the_scene(
-    room: SyntheticScene, views: list[SceneView], matching: str
+    room: SyntheticScene, views: list[MaskedView], matching: str
 ) -> None:
     """From a colour that is nowhere in the room, the hole goes towards what the views show around it."""
     window = window_of(views, 0, 32)
-    hole = torch.from_numpy(window.look_up(views[0].hole))
-    truth = torch.from_numpy(window.look_up(room.empty_images[0])).float()
-    guide = FeatureGuide(views, size=32, matching=matching, references=2, least_known=0.2)
+    hole = torch.from_numpy(window.sample(views[0].hole))
+    truth = torch.from_numpy(window.sample(room.empty_images[0])).float()
+    guide = FeatureGuide(views, size=32, matching=matching, references=2, min_known=0.2)
     strange = torch.tensor([1.0, 0.0, 1.0])
     start = torch.where(hole[..., None], strange, truth)
     end = descended(guide, start, hole, window, 15)
     palette = truth[~hole]
     before, after = (float(torch.cdist(x[hole], palette).min(1).values.mean()) for x in (start, end))
     assert after < 0.6 * before
-
-
-def test_classical_filling_makes_up_masked_pixels_alone(views: list[SceneView]) -> None:
-    for view, filled in zip(views, filled_classically(views), strict=True):
-        np.testing.assert_array_equal(filled.image[view.known], view.image[view.known])
-        assert not filled.hole.any()
-        assert filled.known.all()
-        # Blank before; afterwards of the colours of what surrounds it.
-        low, high = view.image[view.known].min(0) - 0.01, view.image[view.known].max(0) + 0.01
-        inside = filled.image[view.hole]
-        assert ((inside >= low) & (inside <= high)).all()

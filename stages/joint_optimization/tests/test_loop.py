@@ -17,9 +17,9 @@ from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 from inpaint3d.stages.joint_optimization.loop import Problem
 from inpaint3d.stages.joint_optimization.parallel import Ranks
-from inpaint3d.stages.joint_optimization.patches import Window, centre_views
+from inpaint3d.scene.windows import Window, centre_views
 from inpaint3d.stages.joint_optimization.run import pose
-from inpaint3d.stages.joint_optimization.scene import distillable
+from inpaint3d.scene.masked_views import find_fillable
 
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
 # Four steps of reconstruction first; everything that anneals has its own length.
@@ -80,9 +80,9 @@ def test_centre_views_come_first_from_the_start_of_distillation(posed: Make) -> 
     """S8: steps 4 to 9 look at the one centre view; on the global step only 4 and 5 would."""
     problem = posed()
     shown = problem.to_fill
-    seen = distillable(shown)
+    seen = find_fillable(shown)
     centres = np.stack([shown[i].camera.centre for i in seen])
-    (medoid,) = centre_views(centres, np.array([shown[i].hole_share for i in seen]), 1)
+    (medoid,) = choose_centre_views(centres, np.array([shown[i].hole_share for i in seen]), 1)
 
     def view_at(step: int) -> int:
         figures(problem, step)

@@ -20,7 +20,7 @@ from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.diffusion.pipelines import PipelinePrior
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.guidance import DatasetGuide, PriorGuide
-from inpaint3d.stages.joint_optimization.patches import draw_window
+from inpaint3d.scene.windows import draw_window
 from inpaint3d.stages.joint_optimization.priors import load_denoiser
 from inpaint3d.stages.joint_optimization.run import pose
 from tests.tiny_pipelines import latent_pipeline, pixel_pipeline
@@ -79,9 +79,9 @@ def test_the_gradient_is_that_of_the_hole_alone(
     guide, view = problem.guide, problem.to_fill[0]
     assert isinstance(guide, PriorGuide | DatasetGuide)
     assert guide.size == 32
-    window = draw_window(view.hole, view.known, 0, size=32, span=0.7, least_known=0.2, rng=None)
+    window = draw_window(view.hole, view.known, 0, size=32, span=0.7, min_known=0.2, rng=None)
     assert window is not None
-    hole = torch.from_numpy(window.look_up(view.hole))
+    hole = torch.from_numpy(window.sample(view.hole))
     patch = torch.rand(32, 32, 3, generator=torch.Generator().manual_seed(1))
     gradient, t = guide.gradient(patch, hole, window, (0.4, 0.6), torch.Generator().manual_seed(2))
     assert gradient.isfinite().all()

@@ -41,6 +41,7 @@ PICTURE_SUFFIXES = frozenset(
     ]
 )
 
+MAX_CODE = 2**16 - 1
 # Time stamps and host names would make equal pictures differ.
 _UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
 
@@ -137,6 +138,22 @@ def write_png(path: Path, image: ArrayLike) -> None:
     _write(path, spec, pixels)
 
 
+def write_codes(path: Path, codes: ArrayLike) -> None:
+    """Write whole numbers [h, w] in [0, 65535] as a 16-bit PNG; ValueError for others."""
+    codes = np.asarray(codes)
+    if codes.min(initial=0) < 0 or codes.max(initial=0) > MAX_CODE:
+        raise ValueError(f"{path}: codes from {codes.min()} to {codes.max()} do not fit into 16 bits")
+    height, width = codes.shape
+    spec = oiio.ImageSpec(width, height, 1, oiio.UINT16)
+    spec.attribute("png:compressionLevel", 4)
+    _write(path, spec, codes.astype(np.uint16)[..., None])
+
+
+def read_codes(path: Path) -> NDArray[np.uint16]:
+    """Whole numbers [h, w] as `write_codes` wrote them; BadInputError for a file that is damaged."""
+    return _pixels(_open(path), path, "uint16")[..., 0]
+
+
 def write_mask(path: Path, mask: ArrayLike) -> None:
     """Write bool [h, w] as an 8-bit PNG: 255 inside, 0 outside."""
     write_png(path, np.where(np.asarray(mask, bool), np.uint8(255), np.uint8(0)))
@@ -175,8 +192,8 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
-def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8"] = "float") -> NDArray[Any]:
-    """All channels [h, w, c], float32 or uint8, upright; BadInputError where the file is damaged."""
+def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "uint16"] = "float") -> NDArray[Any]:
+    """All channels [h, w, c], float32 or whole numbers, upright; BadInputError where the file is damaged."""
     if buffer.spec().get_string_attribute("oiio:SourceFileFormat", "") == "jpeg" and _cut_short(path):
         raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
     if not buffer.read(force=True, convert=kind) or buffer.has_error:

@@ -4,6 +4,7 @@ The metadata names the files that hold the bulk; file layouts are described in e
 """
 
 from inpaint3d.contracts.artifacts.capture import Capture, CapturedFrame, Exif, KnownCamera, Truth
+from inpaint3d.contracts.artifacts.completion import CompletedView, CompletedViews, PaintedView, PaintedViews
 from inpaint3d.contracts.artifacts.effects import Effect, EffectPlan
 from inpaint3d.contracts.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
 from inpaint3d.contracts.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
@@ -26,6 +27,8 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "radiance-field": ("1.1", RadianceFieldArtifact),
     "mask-set": ("1.0", MaskSet),
     "diffusion-prior": ("1.0", DiffusionPrior),
+    "painted-views": ("1.0", PaintedViews),
+    "completed-views": ("1.0", CompletedViews),
     "evaluation": ("1.0", Evaluation),
     "usd-scene": ("1.0", UsdScene),
 }
@@ -35,6 +38,8 @@ __all__ = [
     "SCHEMAS",
     "Capture",
     "CapturedFrame",
+    "CompletedView",
+    "CompletedViews",
     "DiffusersPipeline",
     "DiffusionPrior",
     "Effect",
@@ -52,6 +57,8 @@ __all__ = [
     "MaskSet",
     "MaskView",
     "Metric",
+    "PaintedView",
+    "PaintedViews",
     "PosedCapture",
     "PosedFrame",
     "PosedTruth",

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.radiance.rays import CameraStack, Rays, joined
 from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.rays import CameraStack, Rays, joined
 from inpaint3d.radiance.training import Pixels
-from inpaint3d.stages.joint_optimization.scene import SceneView
+from inpaint3d.scene.masked_views import MaskedView
 
 
 @dataclass(frozen=True)
@@ -37,38 +37,42 @@ class Batch:
 
 @dataclass(frozen=True)
 class Filled:
-    """What was made up: the views again without their holes, and the surfaces in the holes as the views see them."""
+    """What was made up: the views again, their holes (what was filled) in their pictures, and the surfaces there as the
+    views see them, where there are any.
+    """
 
-    views: Sequence[SceneView]
-    surfaces: Sightings
+    views: Sequence[MaskedView]
+    surfaces: Sightings | None
 
 
 class RayBank:
     """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper.
 
-    filled: what was made up; of each batch the share `filled_share` shows it, in place of masked rays that nothing is
-    known of. sightings: of sparse points by these views; as many rays go to the surfaces that were made up.
+    filled: what was made up; of each batch the share `filled_share` shows it (None: as many as its pixels are among those
+    with a colour), in place of masked rays that nothing is known of. sight_lines: of sparse points by these views; as many rays go to the surfaces that were made up.
     """
 
     def __init__(
         self,
-        views: Sequence[SceneView],
+        views: Sequence[MaskedView],
         device: str,
         *,
         filled: Filled | None = None,
-        filled_share: float = 0.0,
-        sightings: Sightings | None = None,
+        filled_share: float | None = 0.0,
+        sight_lines: Sightings | None = None,
     ) -> None:
-        self._sightings = [s for s in (sightings, filled.surfaces if filled else None) if s]
+        self._sight_lines = [s for s in (sight_lines, filled.surfaces if filled else None) if s]
         cameras = [v.camera for v in views]
         self._known = Pixels.of(cameras, [v.image for v in views], [v.known for v in views], device)
-        masked = any(v.hole.any() for v in views)
-        self._filled, self._filled_share = None, filled_share
-        if masked and filled:
-            self._filled = Pixels.of(cameras, [v.image for v in filled.views], [v.hole for v in views], device)
-            masked = False
+        self._filled, hidden = None, [v.hole for v in views]
+        if filled and any(v.hole.any() for v in filled.views):
+            holes = [v.hole for v in filled.views]
+            self._filled = Pixels.of(cameras, [v.image for v in filled.views], holes, device)
+            hidden = [mask & ~hole for mask, hole in zip(hidden, holes, strict=True)]
         # The colours that ride along are blank: the scene holds nothing under the mask.
-        self._masked = Pixels.of(cameras, [v.image for v in views], [v.hole for v in views], device) if masked else None
+        masked = any(mask.any() for mask in hidden)
+        self._masked = Pixels.of(cameras, [v.image for v in views], hidden, device) if masked else None
+        self._filled_share = filled_share if filled_share is not None else self._share_of(self._filled)
         self._cameras = CameraStack.of(cameras, device)
         self._sizes = torch.tensor([[c.width, c.height] for c in cameras])
 
@@ -76,8 +80,7 @@ class RayBank:
         """`count` random rays, `sighted` to sparse points and as many to made-up surfaces, `patches` squares of
         neighbouring pixels of random views.
         """
-        share = len(self._masked) / (len(self._masked) + len(self._known)) if self._masked else 0.0
-        hidden = round(count * share)
+        hidden = round(count * self._share_of(self._masked))
         made_up = round(count * self._filled_share) if self._filled else 0
         known, target = self._known.draw(max(1, count - hidden - made_up), generator)
         parts = [known]
@@ -87,12 +90,16 @@ class RayBank:
             target = torch.cat([target, colours])
         if self._masked and hidden:
             parts.append(self._masked.draw(hidden, generator)[0])
-        toward = [sightings.draw(sighted, generator) for sightings in self._sightings if sighted]
-        parts += [sightings.rays for sightings in toward]
-        distance = torch.cat([target.new_empty(0), *(sightings.distance for sightings in toward)])
+        toward = [sight_lines.draw(sighted, generator) for sight_lines in self._sight_lines if sighted]
+        parts += [sight_lines.rays for sight_lines in toward]
+        distance = torch.cat([target.new_empty(0), *(sight_lines.distance for sight_lines in toward)])
         if patches:
             parts.append(self._patches(patches, patch_size, generator))
         return Batch(joined(parts), target, distance, (patches, patch_size, patch_size))
+
+    def _share_of(self, some: Pixels | None) -> float:
+        """Share of some pixels among those and the known ones."""
+        return len(some) / (len(some) + len(self._known)) if some else 0.0
 
     def _patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
         view = torch.randint(len(self._sizes), (count,), generator=generator)

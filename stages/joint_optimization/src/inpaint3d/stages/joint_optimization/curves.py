@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.artifact import CURVE_COLUMNS, write_curve, write_table
+from inpaint3d.stages.joint_optimization.objective import TERMS
 
-TERMS = ("reconstruction", "interlevel", "distortion", "hash_decay", "depth", "distillation")
 TERM_COLUMNS = (
     "step",
     *(f"loss_{name}" for name in TERMS if name not in ("distillation", "hash_decay")),
@@ -37,11 +37,16 @@ class Curves:
         self.curve.append([step, rays, loss, math.nan if psnr is None else psnr])
 
     def add_terms(self, step: int, losses: dict[str, float], norms: dict[str, float], **figures: float) -> None:
-        """Losses (weighted) and gradient norms by term at a step, and how strongly the prior pushed."""
+        """Losses (weighted) and gradient norms by term at a step, and how strongly the prior pushed.
+
+        ValueError for a term or figure that the table has no column for.
+        """
         row = {"step": step, **{f"loss_{n}": v for n, v in losses.items() if n != "distillation"}}
         row |= {f"gradient_{n}": v for n, v in norms.items()} | figures
         if "distillation" in norms:
             row["distillation_over_reconstruction"] = norms["distillation"] / norms["reconstruction"]
+        if unknown := sorted(set(row) - set(TERM_COLUMNS)):
+            raise ValueError(f"terms.csv has no column for {', '.join(unknown)}")
         self.terms.append([row.get(column, math.nan) for column in TERM_COLUMNS])
 
     @property

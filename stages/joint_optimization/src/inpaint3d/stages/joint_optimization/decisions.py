@@ -14,11 +14,11 @@ class Decisions:
     reasons: dict[str, str]
 
 
-def decide(spec: FieldSpec, plan: EffectPlan, *, carried_over: bool, distils: bool, diffuse_start: bool) -> Decisions:
+def decide(spec: FieldSpec, plan: EffectPlan, *, warm_start: bool, distils: bool, diffuse_first: bool) -> Decisions:
     """Which effects are on, and why.
 
-    spec: of the field. carried_over: it came with an initial field. distils: a prior is used. diffuse_start: what the
-    parameters ask for (S10); without view-dependent colour there is nothing to anneal.
+    spec: of the field. warm_start: it came with an initial field. distils: a guide pulls the hole. diffuse_first: what
+    the estimator asks for (S10); without view-dependent colour there is nothing to anneal.
     """
     named = {e.name: e.reason for e in plan.effects}
     effects = {
@@ -28,9 +28,9 @@ def decide(spec: FieldSpec, plan: EffectPlan, *, carried_over: bool, distils: bo
     }
     reasons = {}
     for name, on in effects.items():
-        source = "as in the initial field" if carried_over else named.get(name, "the effect-plan does not name it")
+        source = "as in the initial field" if warm_start else named.get(name, "the effect-plan does not name it")
         reasons[name] = f"{'on' if on else 'off'}: {source}"
-    start = distils and diffuse_start and spec.view_layers > 0
+    start = distils and diffuse_first and spec.view_layers > 0
     if start:
         why = "on: the prior sees diffuse colour first, the rest is blended in over the first half of the schedule"
     elif not distils:

@@ -12,9 +12,9 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import Rendering, render
-from inpaint3d.stages.joint_optimization.guidance import Guide
-from inpaint3d.stages.joint_optimization.patches import Window
-from inpaint3d.stages.joint_optimization.scene import SceneView
+from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.windows import Window
+from inpaint3d.stages.joint_optimization.guidance import Guide, Timesteps
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Distilled:
 def distil(
     field: RadianceField,
     guide: Guide,
-    view: SceneView,
+    view: MaskedView,
     window: Window,
     *,
-    timesteps: tuple[float, float],
+    timesteps: Timesteps,
     specular_scale: float,
     block: int,
     generator: torch.Generator,
@@ -54,7 +54,7 @@ def distil(
     plain render, and nothing is rendered twice unless the hole has more than `block` rays.
     """
     rays = camera_rays(view.camera, window.pixels(), device=field.device)
-    hole = torch.from_numpy(window.look_up(view.hole)).to(field.device)
+    hole = torch.from_numpy(window.sample(view.hole)).to(field.device)
     inside = Rays(rays.origins[hole], rays.directions[hole])
     outside = Rays(rays.origins[~hole], rays.directions[~hole])
     behind = torch.rand(3, generator=generator).to(field.device)

@@ -1,34 +1,29 @@
-"""What fills the hole: for a rendered patch, one constant gradient (rows S2 to S5, L8).
+"""What pulls the hole: for a rendered patch, one constant gradient (rows S2 to S5, L8).
 
-One interface, `Guide`; who it is, `run.load_guide` decides by the parameter `estimator`.
+One interface, `Guide`; which one, and with what parameters, is the estimator's to say (`estimators`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 from inpaint3d.diffusion.denoiser import Denoiser
-from inpaint3d.diffusion.distillation import (
-    dataset_gradient,
-    denoised_target,
-    denoised_target_gradient,
-    ism_gradient,
-    nfsd_gradient,
-    sdi_gradient,
-    sds_gradient,
-    vsd_gradient,
-)
+from inpaint3d.diffusion.distillation import dataset_gradient, denoised_target
 from inpaint3d.diffusion.low_rank import LowRankCopy
-from inpaint3d.stages.joint_optimization.patches import Window
+from inpaint3d.perception.lpips import enlarged, load
+from inpaint3d.scene.windows import Window
+from inpaint3d.stages.joint_optimization.schedule import TimestepRange
 
 Patch = Float[Tensor, "h w 3"]
 Hole = Bool[Tensor, "h w"]
 Windows = Sequence[Window | None]
-PriorEstimator = Literal["sds", "nfsd", "sdi", "ism", "vsd", "denoised-target"]
+Timesteps = TimestepRange | None
 
 
 class Guide(Protocol):
@@ -41,16 +36,11 @@ class Guide(Protocol):
 
     @property
     def windows(self) -> Windows | None:
-        """Each view's window, where the guide keeps a picture of every view; None: windows are drawn."""
-        ...
-
-    @property
-    def span(self) -> float | None:
-        """Side of the windows that are drawn, share of the picture's short side; None: as scheduled (S1)."""
+        """Each view's window, where the guide keeps to one; None: windows are drawn."""
         ...
 
     def gradient(
-        self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
+        self, patch: Patch, hole: Hole, window: Window, timesteps: Timesteps, generator: torch.Generator
     ) -> tuple[Patch, float]:
         """d(loss)/d(patch) for a patch rendered in [0, 1], and the diffusion time t that was drawn (NaN: none).
 
@@ -67,7 +57,7 @@ class Guide(Protocol):
         ...
 
 
-class Asked(NamedTuple):
+class PriorQuery(NamedTuple):
     """A patch as a prior is asked about it: x in [-1, 1], batch of one; t, noise and fill are fresh (S3).
 
     eps is of the shape of the patch's code, which for a prior over pixels is the patch's.
@@ -80,21 +70,23 @@ class Asked(NamedTuple):
     noise_fill: Float[Tensor, "1 3 h w"]
 
     @classmethod
-    def about(
+    def draw(
         cls,
         patch: Patch,
         hole: Hole,
-        timesteps: tuple[float, float],
+        timesteps: Timesteps,
         generator: torch.Generator,
         latent_shape: tuple[int, int, int],
-    ) -> "Asked":
-        low, high = timesteps
-        t = low + (high - low) * torch.rand((), generator=generator)
+    ) -> "PriorQuery":
+        """A query about a patch at a time within `timesteps`; ValueError where there are none to draw from."""
+        if timesteps is None:
+            raise ValueError("a prior is asked at a diffusion time, and the estimator has none")
+        t = timesteps.low + (timesteps.high - timesteps.low) * torch.rand((), generator=generator)
         x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
         eps, noise_fill = (torch.randn(1, *shape, generator=generator).to(x) for shape in (latent_shape, x.shape[1:]))
         return cls(x, hole[None, None].to(x), t.reshape(1).to(x), eps, noise_fill)
 
-    def answered(self, gradient: Float[Tensor, "1 3 h w"]) -> tuple[Patch, float]:
+    def scale_answer(self, gradient: Float[Tensor, "1 3 h w"]) -> tuple[Patch, float]:
         """As that of a mean over the patch's pixels, of a picture in [-1, 1]: a factor 2 and a division (L8)."""
         return gradient[0].permute(1, 2, 0) * (2.0 / self.mask.numel()), float(self.t)
 
@@ -111,15 +103,12 @@ class Stateless:
 
 @dataclass
 class PriorGuide:
-    """A prior with the estimator that turns its opinion into a gradient. copy: vsd's, which learns the renders."""
+    """A prior with the estimate that turns its opinion into a gradient. copy: vsd's, which learns the renders."""
 
     prior: Denoiser
-    estimator: PriorEstimator
-    guidance: float
-    steps: int
+    estimate: Callable[[PriorQuery], Float[Tensor, "1 3 h w"]]
     copy: LowRankCopy | None = None
     windows: None = None
-    span: None = None
 
     @property
     def size(self) -> int:
@@ -130,32 +119,14 @@ class PriorGuide:
         patch: Patch,
         hole: Hole,
         window: Window,  # noqa: ARG002 - a prior needs not know where it looks
-        timesteps: tuple[float, float],
+        timesteps: Timesteps,
         generator: torch.Generator,
     ) -> tuple[Patch, float]:
-        asked = Asked.about(patch, hole, timesteps, generator, self.prior.latent_shape)
-        return asked.answered(self._estimate(asked, timesteps, generator))
-
-    def _estimate(self, asked: Asked, timesteps: tuple[float, float], generator: torch.Generator) -> Tensor:
-        x, mask, t, eps, fill = asked
-        prior, g, steps = self.prior, self.guidance, self.steps
-        match self.estimator:
-            case "sds":
-                return sds_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill)
-            case "nfsd":
-                return nfsd_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill)
-            case "sdi":
-                return sdi_gradient(prior, x, mask, t, guidance=g, noise_fill=fill, steps=steps)
-            case "ism":
-                return ism_gradient(prior, x, mask, t, guidance=g, noise_fill=fill, steps=steps)
-            case "denoised-target":
-                return denoised_target_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill, steps=steps)
-            case "vsd":
-                if self.copy is None:
-                    raise ValueError("vsd needs a copy of the prior to learn the renders")
-                gradient = vsd_gradient(prior, self.copy.network, x, mask, t, eps, guidance=g, noise_fill=fill)
-                self.copy.learn(x, mask, generator, timesteps)
-                return gradient
+        query = PriorQuery.draw(patch, hole, timesteps, generator, self.prior.latent_shape)
+        answer = query.scale_answer(self.estimate(query))
+        if self.copy is not None and timesteps is not None:
+            self.copy.learn(query.x, query.mask, generator, (timesteps.low, timesteps.high))
+        return answer
 
     def state(self) -> dict[str, Tensor]:
         return {} if self.copy is None else self.copy.state()
@@ -166,12 +137,10 @@ class PriorGuide:
 
 
 class DatasetGuide:
-    """Iterative dataset update (arXiv:2303.12789): a picture of every view, made again from its render now and then.
+    """A picture of every view, made again from its render now and then.
 
     update_every: patches of a view from one update to the next; the first makes it.
     """
-
-    span = None
 
     def __init__(self, prior: Denoiser, windows: Windows, *, guidance: float, steps: int, update_every: int) -> None:
         self.prior, self.windows, self.size = prior, windows, prior.size
@@ -180,17 +149,17 @@ class DatasetGuide:
         self._seen = torch.zeros(len(windows), dtype=torch.int64)
 
     def gradient(
-        self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
+        self, patch: Patch, hole: Hole, window: Window, timesteps: Timesteps, generator: torch.Generator
     ) -> tuple[Patch, float]:
-        asked = Asked.about(patch, hole, timesteps, generator, self.prior.latent_shape)
-        x, mask, t, eps, fill = asked
+        query = PriorQuery.draw(patch, hole, timesteps, generator, self.prior.latent_shape)
+        x, mask, t, eps, fill = query
         if self._seen[window.view] % self._every == 0:
             made = denoised_target(
                 self.prior, x, mask, t, eps, guidance=self._guidance, noise_fill=fill, steps=self._steps
             )
             self._targets[window.view] = made[0].cpu()
         self._seen[window.view] += 1
-        return asked.answered(dataset_gradient(x, mask, self._targets[window.view][None].to(x)))
+        return query.scale_answer(dataset_gradient(x, mask, self._targets[window.view][None].to(x)))
 
     def state(self) -> dict[str, Tensor]:
         return {"targets": self._targets, "seen": self._seen}
@@ -199,18 +168,26 @@ class DatasetGuide:
         self._targets, self._seen = tensors["targets"], tensors["seen"]
 
 
-def evaluations(estimator: str, *, guidance: float, steps: int) -> int:
-    """UNet evaluations of a distilled step without learning; a backward pass, where there is one, counts as two.
+class PictureGuide(Stateless):
+    """Whole pictures [h, w, 3] of every view: LPIPS of the hole in windows of them, the rest being the picture's own.
 
-    steps: DDIM or inversion steps. An update of dataset-update costs what a denoised target does.
+    It sharpens what rays are fitted to pixel by pixel. windows: each view's only one; None: any.
     """
-    asked = 1 if guidance in (0.0, 1.0) else 2
-    return {
-        "sds": asked,
-        "nfsd": asked + 1,
-        "sdi": steps + asked,
-        "ism": steps + 1 + asked,
-        "vsd": asked + 1 + 3,
-        "denoised-target": steps * asked,
-        "dataset-update": steps * asked,
-    }.get(estimator, 0)
+
+    def __init__(self, pictures: Sequence[NDArray[np.float32]], size: int, windows: Windows | None = None) -> None:
+        self.size, self.windows, self._pictures = size, windows, pictures
+
+    def gradient(
+        self,
+        patch: Patch,
+        hole: Hole,
+        window: Window,
+        timesteps: Timesteps,  # noqa: ARG002 - nothing is noised here
+        generator: torch.Generator,  # noqa: ARG002 - nor drawn
+    ) -> tuple[Patch, float]:
+        picture = torch.from_numpy(np.ascontiguousarray(window.sample(self._pictures[window.view]))).to(patch)
+        rendered = patch.detach().requires_grad_()
+        pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
+        made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
+        (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
+        return gradient, float("nan")

@@ -13,26 +13,25 @@ from inpaint3d.contracts.errors import BadInputError, InterruptedRun
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.training import descend, proposal_anneal
+from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
+from inpaint3d.scene.windows import Window, draw_window
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
 from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.centre_views import choose_centre_views
 from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
-from inpaint3d.stages.joint_optimization.guidance import Guide
+from inpaint3d.stages.joint_optimization.estimators.base import Guided
+from inpaint3d.stages.joint_optimization.guidance import Guide, Timesteps
 from inpaint3d.stages.joint_optimization.held_out import HeldOut
 from inpaint3d.stages.joint_optimization.objective import Terms, decay_term, gradient_norms, step_terms
 from inpaint3d.stages.joint_optimization.parallel import Ranks
-from inpaint3d.stages.joint_optimization.patches import Window, centre_views, draw_window
-from inpaint3d.stages.joint_optimization.scene import Scene, SceneView, distillable
 from inpaint3d.stages.joint_optimization.schedule import (
-    TimestepRange,
     centre_views_only,
     distillation_weight,
-    specular_scale,
     terms_due,
-    timestep_range,
-    window_span,
 )
 
 CHECKPOINT_INTERVAL_S = 30.0
@@ -49,8 +48,8 @@ class Problem:
 
     field: RadianceField
     guide: Guide | None
-    scene: Scene
-    to_fill: Sequence[SceneView]
+    scene: MaskedScene
+    to_fill: Sequence[MaskedView]
     config: Config
     seed: int
     fresh: bool
@@ -59,23 +58,32 @@ class Problem:
 
     @cached_property
     def bank(self) -> RayBank:
-        device, share = str(self.field.device), self.config.filled_share
-        sightings = self.scene.sightings(device)
-        return RayBank(self.scene.train, device, filled=self.filled, filled_share=share, sightings=sightings)
+        device = str(self.field.device)
+        share = getattr(self.config.estimator, "filled_share", 0.0)
+        sight_lines = trace_sparse_points(self.scene, device)
+        return RayBank(self.scene.train, device, filled=self.filled, filled_share=share, sight_lines=sight_lines)
+
+    @property
+    def guided(self) -> tuple[Guide, Guided] | None:
+        """The guide and the parameters of its estimator; None where nothing pulls the hole."""
+        estimator = self.config.estimator
+        return (self.guide, estimator) if self.guide is not None and isinstance(estimator, Guided) else None
 
     def since(self, step: int) -> int:
         """Steps since the start of distillation (S6, S8); negative before it, and throughout without a guide."""
-        return -1 if self.guide is None else step - (self.config.warmup_steps if self.fresh else 0)
+        if self.guided is None:
+            return -1
+        return step - (self.guided[1].warmup_steps if self.fresh else 0)
 
     def rate(self, step: int) -> float:
         """The learning rate of a step (N7)."""
-        config = self.config
-        return (1.0 if self.fresh else config.carried_rate) * learning_rate(
+        optimizer = self.config.optimizer
+        return (1.0 if self.fresh else optimizer.warm_start_lr_scale) * learning_rate(
             step,
-            initial=config.learning_rate,
-            final=config.final_learning_rate,
-            steps=config.learning_rate_steps or config.steps,
-            warmup=config.learning_rate_warmup,
+            initial=optimizer.learning_rate,
+            final=optimizer.final_learning_rate,
+            steps=optimizer.learning_rate_steps or self.config.steps,
+            warmup=optimizer.learning_rate_warmup,
         )
 
     def terms(self, step: int, ranks: Ranks) -> tuple[Terms, dict[str, float]]:
@@ -84,47 +92,57 @@ class Problem:
         They depend on the field, the guide, (seed, step, rank) and nothing else: that a run was stopped and went on, or
         how its ranks share out, never shows.
         """
-        config = self.config
-        rng, generator = step_generators(self.seed * ranks.count + ranks.rank, step)
-        distilled, weight, figures = self._distilled(step, rng, generator)
+        config, losses = self.config, self.config.losses
+        rng, generator = step_generators(self.seed * ranks.world_size + ranks.rank, step)
+        distilled, weight, figures = self._distil(step, rng, generator)
         batch = self.bank.draw(
-            config.rays // ranks.count,
-            patches=config.depth_patches if config.depth_weight else 0,
-            patch_size=config.depth_patch_size,
+            config.rays // ranks.world_size,
+            patches=losses.depth_patches if losses.depth_weight else 0,
+            patch_size=losses.depth_patch_size,
             generator=generator,
-            sighted=max(1, config.sight_rays // ranks.count) if config.sight_weight else 0,
+            sighted=max(1, losses.line_of_sight_rays // ranks.world_size) if losses.line_of_sight_weight else 0,
         )
-        anneal = proposal_anneal(step, config.proposal_anneal_steps) if self.fresh else 1.0
+        anneal = proposal_anneal(step, config.optimizer.proposal_anneal_steps) if self.fresh else 1.0
         terms = step_terms(self.field, batch, distilled, weight, config, anneal=anneal, generator=generator)
         return terms, figures
 
-    def _distilled(
+    def _distil(
         self, step: int, rng: np.random.Generator, generator: torch.Generator
     ) -> tuple[Distilled | None, float, dict[str, float]]:
-        config, since = self.config, self.since(step)
-        if self.guide is None or since < 0 or since % config.distill_every:
+        since = self.since(step)
+        if self.guided is None or since < 0 or since % self.guided[1].distill_every:
             return None, 0.0, {}
-        total, schedule = config.steps - (step - since), config.schedule_steps or config.steps
-        timesteps = timestep_range(
-            step, schedule, t_min=config.t_min, t_max=config.t_max, width=config.t_width, floor=config.t_floor
-        )
+        guide, estimator = self.guided
+        steps = self.config.steps
+        total = steps - (step - since)
+        timesteps = estimator.timesteps_at(step, steps)
         weight = distillation_weight(
-            since, total, peak=config.weight, warmup=config.weight_warmup, decay_to=config.weight_decay_to
+            since, total, peak=estimator.weight, warmup=estimator.weight_warmup, decay_to=estimator.weight_decay_to
         )
-        span = self.guide.span or window_span(since, total, first=config.span_first, last=config.span_last)
-        specular = specular_scale(step, schedule) if self.diffuse_start else 1.0
-        window = choose_window(self.to_fill, self.guide, config, since=since, span=span, rng=rng)
+        span = estimator.span_at(since, total)
+        specular = estimator.specular_at(step, steps) if self.diffuse_start else 1.0
+        window = choose_window(self.to_fill, guide, estimator, since=since, span=span, rng=rng)
         distilled = distil(
             self.field,
-            self.guide,
+            guide,
             self.to_fill[window.view],
             window,
-            timesteps=timesteps[:2],
+            timesteps=timesteps,
             specular_scale=specular,
-            block=config.block,
+            block=self.config.block,
             generator=generator,
         )
-        return distilled, weight, prior_figures(distilled, timesteps, weight, span, specular)
+        return distilled, weight, describe_push(distilled, timesteps, weight, span, specular)
+
+
+def trace_sparse_points(scene: MaskedScene, device: str) -> Sightings | None:
+    """The sparse points as the views to fit saw them; None where they saw none."""
+    cameras = {v.name: v.camera for v in (*scene.train, *scene.test)}
+    fitted = np.isin(scene.order, [v.name for v in scene.train])
+    among = fitted[scene.sparse.track_frame]
+    if not among.any():
+        return None
+    return Sightings.of([cameras[name] for name in scene.order], scene.sparse, among, device)
 
 
 def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> None:
@@ -132,32 +150,33 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
 
     Every rank calls it; the first one keeps the checkpoint, and what it decides all do at the same step.
     """
-    field, config = problem.field, problem.config
+    field, config, losses_of = problem.field, problem.config, problem.config.losses
     held_out = HeldOut(problem.scene.test, config.score_pixels, str(field.device))
     optimizer = Adam(
         field,
-        network_scale=config.network_rate_share,
-        hash_decay=config.hash_decay_weight,
-        sparse=config.sparse_adam,
+        network_scale=config.optimizer.network_rate_share,
+        hash_decay=config.losses.hash_decay_weight,
+        sparse=config.optimizer.sparse_adam,
         before_step=lambda: ranks.average(field.parameters()),
     )
     # A checkpoint holds a stream; here every step has its own.
     unused = torch.Generator()
     checkpoint = ctx.work / "checkpoint.safetensors"
-    ranks.hand_out(checkpoint)
+    ranks.broadcast_file(checkpoint)
     if (kept := load_checkpoint(checkpoint, field, optimizer, unused)) is not None:
         curves.restore(kept)
         if problem.guide is not None:
             problem.guide.restore({n.removeprefix(GUIDE): t for n, t in kept.items() if n.startswith(GUIDE)})
     saved = time.monotonic()
-    rays_a_step = config.rays + ranks.count * config.depth_patches * config.depth_patch_size**2
+    distill_every = problem.guided[1].distill_every if problem.guided else 1
+    rays_a_step = config.rays + ranks.world_size * losses_of.depth_patches * losses_of.depth_patch_size**2
     while (step := optimizer.steps) < config.steps:
         stopped: InterruptedRun | None = None
         try:
             ctx.progress(step, config.steps, "optimising")
         except InterruptedRun as interruption:
             stopped = interruption
-        stop, save = ranks.agreed(stopped is not None, time.monotonic() - saved > CHECKPOINT_INTERVAL_S)
+        stop, save = ranks.agree(stopped is not None, time.monotonic() - saved > CHECKPOINT_INTERVAL_S)
         if (stop or save) and ranks.rank == 0:
             learnt = {} if problem.guide is None else problem.guide.state()
             extra = curves.tensors() | {GUIDE + name: tensor for name, tensor in learnt.items()}
@@ -167,7 +186,7 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
             raise stopped or InterruptedRun("the first rank was stopped")
         terms, figures = problem.terms(step, ranks)
         last = step + 1 == config.steps
-        due = terms_due(step, problem.since(step), config.terms_every, config.distill_every)
+        due = terms_due(step, problem.since(step), config.terms_every, distill_every)
         norms = gradient_norms(field, terms | decay_term(field, config)) if last or due else None
         losses = descend(field, optimizer, terms, problem.rate(step), ctx.non_finite)
         if norms is not None:
@@ -180,18 +199,20 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
 
 
 def choose_window(
-    shown: Sequence[SceneView], guide: Guide, config: Config, *, since: int, span: float, rng: np.random.Generator
+    views: Sequence[MaskedView], guide: Guide, estimator: Guided, *, since: int, span: float, rng: np.random.Generator
 ) -> Window:
     """A view that shows the hole (a centre view at first, S8) and a window of it."""
-    views = distillable(shown)
-    if centre_views_only(since, config.centre_steps):
-        centres = np.stack([shown[i].camera.centre for i in views])
-        shares = np.array([shown[i].hole_share for i in views])
-        views = [views[i] for i in centre_views(centres, shares, config.centre_views)]
-    chosen = views[int(rng.integers(len(views)))]
-    view = shown[chosen]
+    candidates = find_fillable(views)
+    if centre_views_only(since, estimator.centre_steps):
+        centres = np.stack([views[i].camera.centre for i in candidates])
+        shares = np.array([views[i].hole_share for i in candidates])
+        candidates = [candidates[i] for i in choose_centre_views(centres, shares, estimator.centre_views)]
+    chosen = candidates[int(rng.integers(len(candidates)))]
+    view = views[chosen]
     window = (
-        draw_window(view.hole, view.known, chosen, size=guide.size, span=span, least_known=config.least_known, rng=rng)
+        draw_window(
+            view.hole, view.known, chosen, size=guide.size, span=span, min_known=estimator.min_known, rng=rng
+        )
         if guide.windows is None
         else guide.windows[chosen]
     )
@@ -200,16 +221,17 @@ def choose_window(
     return window
 
 
-def prior_figures(
-    distilled: Distilled, timesteps: TimestepRange, weight: float, span: float, specular: float
+def describe_push(
+    distilled: Distilled, timesteps: Timesteps, weight: float, span: float, specular: float
 ) -> dict[str, float]:
-    """How and how strongly the prior pushed at a step, for terms.csv."""
+    """How and how strongly the guide pulled at a step, for terms.csv."""
+    times: dict[str, float] = {}
+    if timesteps is not None:
+        times = {"t_low": timesteps.low, "t_high": timesteps.high, "t_floored": float(timesteps.floored)}
     return {
         "weight": weight,
         "t": distilled.t,
-        "t_low": timesteps.low,
-        "t_high": timesteps.high,
-        "t_floored": float(timesteps.floored),
+        **times,
         "push": distilled.push,
         "window_span": span,
         "specular_scale": specular,

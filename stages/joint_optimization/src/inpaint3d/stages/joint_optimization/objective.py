@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.sightings import line_of_sight_loss
 from inpaint3d.radiance.losses import (
     charbonnier,
     depth_smoothness_loss,
@@ -14,12 +15,13 @@ from inpaint3d.radiance.losses import (
     interlevel_loss,
 )
 from inpaint3d.radiance.rendering import BACKGROUND, render
-from inpaint3d.radiance.sightings import line_of_sight_loss
 from inpaint3d.stages.joint_optimization.batch import Batch
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.distil import Distilled
 
 Terms = dict[str, Tensor]
+TERMS = ("reconstruction", "interlevel", "distortion", "line_of_sight", "depth", "hash_decay", "distillation")
+"""Every term that a step may have."""
 
 
 def step_terms(
@@ -42,6 +44,7 @@ def step_terms(
     Reconstruction sees known pixels alone (L2). The regularisers see every ray of the step, masked ones and those of
     the distilled hole too (L7): their means are over all of them. A term of weight 0 is not computed.
     """
+    losses = config.losses
     known, total = len(batch.target), len(batch.rays.origins)
     background = batch.target.new_full((total, 3), BACKGROUND)
     if generator is not None:
@@ -52,26 +55,26 @@ def step_terms(
         generator=generator,
         background=background,
         anneal=anneal,
-        near_gradient=config.near_gradient,
+        near_gradient=config.optimizer.near_gradient,
     )
     terms: Terms = {
-        "reconstruction": config.reconstruction_weight * charbonnier(seen.rgb[:known] - batch.target).mean()
+        "reconstruction": losses.reconstruction_weight * charbonnier(seen.rgb[:known] - batch.target).mean()
     }
     share = distilled.rays / (total + distilled.rays) if distilled else 0.0
-    if config.interlevel_weight:
+    if losses.interlevel_weight:
         here = interlevel_loss(seen)
         both = here if distilled is None else (1 - share) * here + share * distilled.interlevel
-        terms["interlevel"] = config.interlevel_weight * both
-    if config.distortion_weight:
+        terms["interlevel"] = losses.interlevel_weight * both
+    if losses.distortion_weight:
         here = distortion_loss(seen)
         both = here if distilled is None else (1 - share) * here + share * distilled.distortion
-        terms["distortion"] = config.distortion_weight * both
-    if config.sight_weight and len(batch.distance):
-        terms["sight"] = config.sight_weight * line_of_sight_loss(seen, batch.sighted, batch.distance)
-    if config.depth_weight:
+        terms["distortion"] = losses.distortion_weight * both
+    if losses.line_of_sight_weight and len(batch.distance):
+        terms["line_of_sight"] = losses.line_of_sight_weight * line_of_sight_loss(seen, batch.sighted, batch.distance)
+    if losses.depth_weight:
         p, h, w = batch.patches
         depth, rgb = seen.depth[-p * h * w :].reshape(p, h, w), seen.rgb[-p * h * w :].reshape(p, h, w, 3)
-        terms["depth"] = config.depth_weight * depth_smoothness_loss(depth, rgb)
+        terms["depth"] = losses.depth_weight * depth_smoothness_loss(depth, rgb)
     if distilled is not None and weight > 0:
         terms["distillation"] = weight * distilled.surrogate
     return terms
@@ -79,7 +82,7 @@ def step_terms(
 
 def decay_term(field: RadianceField, config: Config) -> Terms:
     """What the optimiser descends beside the terms of a step (N9), as a term."""
-    return {"hash_decay": config.hash_decay_weight * hash_decay(field)}
+    return {"hash_decay": config.losses.hash_decay_weight * hash_decay(field)}
 
 
 def gradient_norms(field: RadianceField, terms: Mapping[str, Tensor]) -> dict[str, float]:

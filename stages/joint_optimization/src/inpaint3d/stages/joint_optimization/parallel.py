@@ -31,39 +31,41 @@ Solve = Callable[[Config, Inputs, Context, "Ranks"], Any]
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which of how many processes this is, and which of how many on its machine. Alone, nothing below does anything."""
+    """Which of how many processes this is, and which of how many on its machine, in torch.distributed's words. Alone,
+    nothing below does anything.
+    """
 
     rank: int = 0
-    count: int = 1
-    place: int = 0
-    here: int = 1
+    world_size: int = 1
+    local_rank: int = 0
+    local_world_size: int = 1
 
     def average(self, parameters: Iterable[Tensor]) -> None:
         """Replace every gradient by its mean over the ranks, which compute the same terms and so the same gradients."""
-        if self.count > 1:
+        if self.world_size > 1:
             for parameter in parameters:
                 if parameter.grad is not None:
                     dist.all_reduce(parameter.grad)
-                    parameter.grad /= self.count
+                    parameter.grad /= self.world_size
 
-    def agreed(self, *decided: bool) -> list[bool]:
+    def agree(self, *decided: bool) -> list[bool]:
         """What the first rank decided."""
-        if self.count == 1:
+        if self.world_size == 1:
             return list(decided)
-        flags = torch.tensor(decided, dtype=torch.int32, device=_wire())
+        flags = torch.tensor(decided, dtype=torch.int32, device=_device_to_send())
         dist.broadcast(flags, src=0)
         return [bool(flag) for flag in flags.tolist()]
 
-    def hand_out(self, file: Path) -> None:
+    def broadcast_file(self, file: Path) -> None:
         """Give every rank the first one's file, or none where it has none: other machines do not see its folder."""
-        if self.count == 1:
+        if self.world_size == 1:
             return
         first = self.rank == 0
         kept = np.fromfile(file, np.uint8) if first and file.exists() else np.empty(0, np.uint8)
-        size = torch.tensor([kept.size], device=_wire())
+        size = torch.tensor([kept.size], device=_device_to_send())
         dist.broadcast(size, src=0)
         data = (
-            torch.from_numpy(kept).to(_wire()) if first else torch.empty(int(size), dtype=torch.uint8, device=_wire())
+            torch.from_numpy(kept).to(_device_to_send()) if first else torch.empty(int(size), dtype=torch.uint8, device=_device_to_send())
         )
         if data.numel():
             dist.broadcast(data, src=0)
@@ -74,16 +76,16 @@ class Ranks:
 
     def device(self, kind: str) -> str:
         """The rank's own GPU, or the processor."""
-        return f"cuda:{self.place}" if kind == "cuda" and self.count > 1 else kind
+        return f"cuda:{self.local_rank}" if kind == "cuda" and self.world_size > 1 else kind
 
 
-def _wire() -> str:
+def _device_to_send() -> str:
     """Where a tensor has to lie to be sent."""
     return "cuda" if dist.get_backend() == "nccl" else "cpu"
 
 
 @contextlib.contextmanager
-def together(count: int, solve: Solve, config: Config, inputs: Inputs, ctx: Context) -> Generator[Ranks]:
+def start_ranks(count: int, solve: Solve, config: Config, inputs: Inputs, ctx: Context) -> Generator[Ranks]:
     """Make this process the first of `count` ranks; the others `solve` the same in processes of their own.
 
     They end with this one, whatever happens to it; if one of them fails, its next collective call fails here.
@@ -92,7 +94,7 @@ def together(count: int, solve: Solve, config: Config, inputs: Inputs, ctx: Cont
         yield Ranks()
         return
     if dist.is_torchelastic_launched():
-        with started_by_torchrun(count, ctx.device) as ranks:
+        with join_torchrun(count, ctx.device) as ranks:
             yield ranks
         return
     meeting = ctx.work / "ranks"
@@ -103,7 +105,7 @@ def together(count: int, solve: Solve, config: Config, inputs: Inputs, ctx: Cont
     for process in others:
         process.start()
     try:
-        with _group(Ranks(0, count, 0, count), ctx.device, f"file://{meeting}") as ranks:
+        with _join_group(Ranks(0, count, 0, count), ctx.device, f"file://{meeting}") as ranks:
             yield ranks
             for process in others:
                 process.join()
@@ -123,7 +125,7 @@ def _follow(
     threads: int,
     work: Path,
 ) -> None:
-    with _group(Ranks(rank, count, rank, count), device, f"file://{work / 'ranks'}") as ranks:
+    with _join_group(Ranks(rank, count, rank, count), device, f"file://{work / 'ranks'}") as ranks:
         follow(config, inputs, solve, ranks, seed=seed, device=device, threads=threads, work=work)
 
 
@@ -136,16 +138,16 @@ def follow(
         signal.signal(kind, signal.SIG_IGN)
     own = work / f"rank-{ranks.rank}"
     own.mkdir(parents=True, exist_ok=True)
-    ctx = _Quiet(seed=seed, device=device, threads=threads, work=own, emit=_nothing)
+    ctx = _SilentContext(seed=seed, device=device, threads=threads, work=own, emit=_ignore)
     with contextlib.suppress(InterruptedRun):
         solve(config, inputs, ctx, ranks)
 
 
-def _nothing(event: str, **values: Any) -> None:
+def _ignore(event: str, **values: Any) -> None:
     pass
 
 
-class _Quiet(Context):
+class _SilentContext(Context):
     """The context of a rank that nobody listens to: the clocks and series of the run are the first rank's."""
 
     def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
@@ -156,24 +158,24 @@ class _Quiet(Context):
 
 
 @contextlib.contextmanager
-def started_by_torchrun(count: int, device: str) -> Generator[Ranks]:
+def join_torchrun(count: int, device: str) -> Generator[Ranks]:
     """The rank that torchrun made of this process. ConfigurationError where it started another number of them."""
     names = ("RANK", "WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE")
-    rank, started, place, here = (int(os.environ[name]) for name in names)
+    rank, started, local_rank, local_world_size = (int(os.environ[name]) for name in names)
     if started != count:
         raise ConfigurationError(
             f"torchrun started {started} processes, the parameter ranks says {count}; make them equal"
         )
-    with _group(Ranks(rank, count, place, here), device, "env://") as ranks:
+    with _join_group(Ranks(rank, count, local_rank, local_world_size), device, "env://") as ranks:
         yield ranks
 
 
 @contextlib.contextmanager
-def _group(ranks: Ranks, device: str, meeting: str) -> Generator[Ranks]:
+def _join_group(ranks: Ranks, device: str, meeting: str) -> Generator[Ranks]:
     if device == "cuda":
-        torch.cuda.set_device(ranks.place)
+        torch.cuda.set_device(ranks.local_rank)
     backend = "nccl" if device == "cuda" else "gloo"
-    dist.init_process_group(backend, meeting, PATIENCE, world_size=ranks.count, rank=ranks.rank)
+    dist.init_process_group(backend, meeting, PATIENCE, world_size=ranks.world_size, rank=ranks.rank)
     try:
         yield ranks
     finally:

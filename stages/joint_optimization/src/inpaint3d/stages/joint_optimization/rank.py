@@ -39,7 +39,7 @@ def main() -> None:
 def step_along(store: Store, invocation: Invocation) -> None:
     """Do a rank's share of every step; nothing where the result is there already. Errors are the tree of `errors`."""
     announce_threads(invocation.threads)
-    from inpaint3d.stages.joint_optimization.parallel import follow, started_by_torchrun
+    from inpaint3d.stages.joint_optimization.parallel import follow, join_torchrun
     from inpaint3d.stages.joint_optimization.run import solve
 
     spec = stage_spec(MODULE)
@@ -48,7 +48,7 @@ def step_along(store: Store, invocation: Invocation) -> None:
     with store.in_use():
         if store.lookup(key) is not None:
             return
-        with started_by_torchrun(config.ranks, invocation.device) as ranks:
+        with join_torchrun(config.ranks, invocation.device) as ranks:
             follow(
                 config,
                 Inputs(store, spec, invocation.inputs),

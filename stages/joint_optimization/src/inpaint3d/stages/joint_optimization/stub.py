@@ -2,11 +2,11 @@
 
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec, RadianceFieldArtifact
+from inpaint3d.contracts.artifacts import CompletedViews, FieldSpec, GridSpec, RadianceFieldArtifact
 from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.radiance.artifact import stub_weights, write_curve, write_view
 from inpaint3d.scene.synthetic import synthetic_scene
-from inpaint3d.stages.joint_optimization.config import Config, label_of
+from inpaint3d.stages.joint_optimization.config import Config
 
 SPEC = FieldSpec(
     grid=GridSpec(levels=3, coarsest=4, finest=16, log2_table=10, channels=2),
@@ -23,6 +23,7 @@ SPEC = FieldSpec(
 def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """The renders are the room's truth; the weights are random, of the right names and shapes."""
     scene = synthetic_scene()
+    completed = inputs.optional("completed-views", CompletedViews)
     folder = outputs.folder("radiance-field")
     save_file(stub_weights(SPEC, ctx.seed), folder / "weights.safetensors")
     write_curve(folder, [[1, 100, 0.5, float("nan")], [2, 200, 0.25, 20.0]])
@@ -37,8 +38,9 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     outputs.write(
         "radiance-field",
         RadianceFieldArtifact(
-            label=label_of(
-                config.estimator, continued=inputs.optional("initial-field", RadianceFieldArtifact) is not None
+            label=config.estimator.label(
+                continued=inputs.optional("initial-field", RadianceFieldArtifact) is not None,
+                completion=completed.metadata.method if completed else None,
             ),
             spec=SPEC,
             views=tuple(views),

@@ -1,4 +1,4 @@
-"""A prior that needs no training: the hole should show what other views show elsewhere (`perception.matching`)."""
+"""A guide that needs no training: features of the hole are matched with those of known pixels of other views."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from inpaint3d.perception.matching import Cells, cells, joined, nearest_mismatch, sliced_mismatch
-from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless
-from inpaint3d.stages.joint_optimization.patches import Window, draw_window
-from inpaint3d.stages.joint_optimization.scene import SceneView, distillable
+from inpaint3d.scene.masked_views import MaskedView, find_fillable
+from inpaint3d.scene.windows import Window, draw_window
+from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless, Timesteps
 
 
 class FeatureGuide(Stateless):
@@ -19,33 +19,33 @@ class FeatureGuide(Stateless):
     Windows narrow over the run (S1), so that it goes from coarse to fine.
     """
 
-    windows = span = None
+    windows = None
 
     def __init__(
         self,
-        views: Sequence[SceneView],
+        views: Sequence[MaskedView],
         *,
         size: int,
         matching: Literal["nearest", "sliced"],
-        references: int,
-        least_known: float,
+        reference_windows: int,
+        min_known: float,
     ) -> None:
         self.size = size
-        self._views, self._shown = views, distillable(views)
-        self._matching, self._references, self._least_known = matching, references, least_known
+        self._views, self._shown = views, find_fillable(views)
+        self._matching, self._reference_windows, self._min_known = matching, reference_windows, min_known
 
     def gradient(
         self,
         patch: Patch,
         hole: Hole,
         window: Window,
-        timesteps: tuple[float, float],  # noqa: ARG002 - nothing is noised here
+        timesteps: Timesteps,  # noqa: ARG002 - nothing is noised here
         generator: torch.Generator,
     ) -> tuple[Patch, float]:
         rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))
         others = [i for i in self._shown if i != window.view] or self._shown
-        known = joined([self._reference(others[int(rng.integers(len(others)))], window, patch, rng)
-                        for _ in range(self._references)])  # fmt: skip
+        known = joined([self._cut_reference(others[int(rng.integers(len(others)))], window, patch, rng)
+                        for _ in range(self._reference_windows)])  # fmt: skip
         rendered = patch.detach().requires_grad_()
         made = cells(rendered.permute(2, 0, 1)[None] * 2 - 1, hole, whole=False)
         loss = nearest_mismatch(made, known) if self._matching == "nearest" else sliced_mismatch(made, known, generator)
@@ -53,14 +53,14 @@ class FeatureGuide(Stateless):
         return gradient * hole[..., None], float("nan")
 
     @torch.no_grad()
-    def _reference(self, index: int, window: Window, patch: Tensor, rng: np.random.Generator) -> Cells:
+    def _cut_reference(self, index: int, window: Window, patch: Tensor, rng: np.random.Generator) -> Cells:
         view = self._views[index]
         span = window.spacing * window.size / min(view.hole.shape)
         found = draw_window(
-            view.hole, view.known, index, size=self.size, span=span, least_known=self._least_known, rng=rng
+            view.hole, view.known, index, size=self.size, span=span, min_known=self._min_known, rng=rng
         )
         if found is None:
             raise ValueError(f"view {view.name} shows no hole to look around")
-        image = torch.from_numpy(np.ascontiguousarray(found.look_up(view.image))).to(patch)
-        known = torch.from_numpy(found.look_up(view.known)).to(patch.device)
+        image = torch.from_numpy(np.ascontiguousarray(found.sample(view.image))).to(patch)
+        known = torch.from_numpy(found.sample(view.known)).to(patch.device)
         return cells(image.permute(2, 0, 1)[None] * 2 - 1, known, whole=True)

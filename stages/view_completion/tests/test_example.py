@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from inpaint3d.stages.joint_optimization.texture import PATCH, blended, copied, synthesised, telea
+from inpaint3d.diffusion.fill import fill_telea
+from inpaint3d.stages.view_completion.example import PATCH, blend_copies, copy_patches, fill_by_example
 
 SHAPE = (60, 72)
 
@@ -22,7 +23,7 @@ def stripes() -> np.ndarray:
 
 
 def copies(image: np.ndarray, hole: np.ndarray, source: np.ndarray) -> np.ndarray:
-    made = copied(np.where(hole[..., None], 0, image).astype(np.float32), hole, source)
+    made = copy_patches(np.where(hole[..., None], 0, image).astype(np.float32), hole, source)
     assert made is not None
     return made[0]
 
@@ -31,8 +32,8 @@ def test_a_pattern_goes_on() -> None:
     """Stripes are continued, edge for edge, where a smooth filling leaves grey."""
     image, hole = stripes(), hole_in_the_middle()
     blank = np.where(hole[..., None], 0, image).astype(np.float32)
-    made = synthesised(blank, hole, ~hole)
-    error, smooth = (np.abs(some - image)[hole].mean() for some in (made, telea(blank, hole)))
+    made = fill_by_example(blank, hole, ~hole)
+    error, smooth = (np.abs(some - image)[hole].mean() for some in (made, fill_telea(blank, hole)))
     assert error < 0.05
     assert smooth > 0.2
 
@@ -77,9 +78,9 @@ def test_patches_come_from_the_source_alone() -> None:
 def test_known_pixels_stay_and_the_hole_is_never_looked_at() -> None:
     image, hole = stripes(), hole_in_the_middle()
     marked = np.where(hole[..., None], np.array([1.0, 0.0, 1.0], np.float32), image)
-    made = synthesised(image, hole, ~hole)
+    made = fill_by_example(image, hole, ~hole)
     np.testing.assert_array_equal(made[~hole], image[~hole])
-    np.testing.assert_array_equal(made, synthesised(marked, hole, ~hole))
+    np.testing.assert_array_equal(made, fill_by_example(marked, hole, ~hole))
 
 
 def test_what_is_copied_from_the_light_into_shade_is_darkened() -> None:
@@ -92,7 +93,7 @@ def test_what_is_copied_from_the_light_into_shade_is_darkened() -> None:
     origins = np.arange(image[..., 0].size).reshape(hole.shape)
     origins[hole] -= 40
     pieces = np.where(hole[..., None], image.reshape(-1, 3)[origins], image)
-    before, after = (np.abs(some - image)[hole].mean() for some in (pieces, blended(pieces, origins, hole)))
+    before, after = (np.abs(some - image)[hole].mean() for some in (pieces, blend_copies(pieces, origins, hole)))
     assert before > 0.15
     assert after < 0.2 * before
 
@@ -105,7 +106,7 @@ def test_a_rim_that_the_mask_left_darkens_nothing() -> None:
     picture[10:30, 18:20] = 0.02
     origins = np.arange(hole.size).reshape(hole.shape)
     origins[hole] += 22
-    np.testing.assert_allclose(blended(picture, origins, hole)[hole], 0.6, atol=1e-4)
+    np.testing.assert_allclose(blend_copies(picture, origins, hole)[hole], 0.6, atol=1e-4)
 
 
 @pytest.mark.parametrize("side", [0, PATCH - 1])
@@ -113,7 +114,7 @@ def test_without_a_whole_patch_to_copy_the_hole_is_filled_smoothly(side: int) ->
     image, hole = stripes(), hole_in_the_middle()
     source = np.zeros(SHAPE, bool)
     source[:side, :side] = True
-    np.testing.assert_array_equal(synthesised(image, hole, source), telea(image, hole))
+    np.testing.assert_array_equal(fill_by_example(image, hole, source), fill_telea(image, hole))
 
 
 def test_variety_lets_the_seed_choose() -> None:
@@ -122,7 +123,7 @@ def test_variety_lets_the_seed_choose() -> None:
     hole = hole_in_the_middle()
 
     def filled(variety: float, seed: int) -> np.ndarray:
-        return synthesised(image, hole, ~hole, variety=variety, seed=seed)
+        return fill_by_example(image, hole, ~hole, variety=variety, seed=seed)
 
     np.testing.assert_array_equal(filled(0.0, 0), filled(0.0, 1))
     np.testing.assert_array_equal(filled(1.0, 0), filled(1.0, 0))

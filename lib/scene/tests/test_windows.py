@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from inpaint3d.stages.joint_optimization.patches import box_sums, centre_views, draw_window, window_side
+from inpaint3d.scene.windows import compute_window_side, draw_window, sum_boxes
 
 
 def _hole(height: int = 90, width: int = 120) -> np.ndarray:
@@ -12,7 +12,7 @@ def _hole(height: int = 90, width: int = 120) -> np.ndarray:
 
 def test_box_sums_count_by_hand() -> None:
     mask = np.random.default_rng(0).random((9, 13)) > 0.5
-    sums = box_sums(mask, 4)
+    sums = sum_boxes(mask, 4)
     assert sums.shape == (6, 10)
     assert all(sums[y, x] == mask[y : y + 4, x : x + 4].sum() for y in range(6) for x in range(10))
 
@@ -22,38 +22,38 @@ def test_every_window_overlaps_the_hole_and_holds_known_pixels(span: float) -> N
     hole = _hole()
     rng = np.random.default_rng(3)
     for _ in range(50):
-        window = draw_window(hole, ~hole, 4, size=16, span=span, least_known=0.2, rng=rng)
+        window = draw_window(hole, ~hole, 4, size=16, span=span, min_known=0.2, rng=rng)
         assert window is not None
         xy = window.pixels()
         assert (xy > 0).all()
         assert (xy[..., 0] < 120).all()
         assert (xy[..., 1] < 90).all()
-        inside = window.look_up(hole)
+        inside = window.sample(hole)
         assert inside.any()
         assert (~inside).mean() > 0.1
 
 
 def test_window_spans_the_asked_share_of_the_short_side() -> None:
     """S1: the paper's 256 of 360 rows is 71 %; a 16 pixel prior reaches it by striding."""
-    window = draw_window(_hole(), ~_hole(), 0, size=16, span=0.7, least_known=0.1, rng=np.random.default_rng(0))
+    window = draw_window(_hole(), ~_hole(), 0, size=16, span=0.7, min_known=0.1, rng=np.random.default_rng(0))
     assert window is not None
     assert window.spacing * window.size >= 0.7 * 90 - 0.5
-    assert window_side(0.01, 16, 90, 120) == 16
-    assert window_side(1.0, 16, 90, 120) == 90
+    assert compute_window_side(0.01, 16, 90, 120) == 16
+    assert compute_window_side(1.0, 16, 90, 120) == 90
     # A picture smaller than the prior's square: rays lie closer than a pixel.
-    assert window_side(0.7, 64, 36, 48) == 36
+    assert compute_window_side(0.7, 64, 36, 48) == 36
 
 
 def test_a_view_without_hole_has_no_window() -> None:
     empty = np.zeros((20, 20), bool)
-    assert draw_window(empty, ~empty, 0, size=8, span=0.7, least_known=0.1, rng=np.random.default_rng(0)) is None
+    assert draw_window(empty, ~empty, 0, size=8, span=0.7, min_known=0.1, rng=np.random.default_rng(0)) is None
 
 
 def test_a_view_that_is_nearly_all_hole_takes_the_window_with_most_context() -> None:
     hole = np.ones((20, 30), bool)
     hole[:, 29] = False
     for seed in range(10):
-        window = draw_window(hole, ~hole, 0, size=8, span=0.5, least_known=0.5, rng=np.random.default_rng(seed))
+        window = draw_window(hole, ~hole, 0, size=8, span=0.5, min_known=0.5, rng=np.random.default_rng(seed))
         assert window is not None
         assert window.x == 20.0
 
@@ -65,15 +65,7 @@ def test_pixels_outside_the_undistorted_picture_are_not_context() -> None:
     rng = np.random.default_rng(1)
     lefts = []
     for _ in range(30):
-        window = draw_window(hole, known, 0, size=16, span=0.4, least_known=0.3, rng=rng)
+        window = draw_window(hole, known, 0, size=16, span=0.4, min_known=0.3, rng=rng)
         assert window is not None
         lefts.append(window.x)
     assert min(lefts) > 25
-
-
-def test_centre_views_are_a_small_baseline_around_the_medoid() -> None:
-    centres = np.array([[x, 0.0, 0.0] for x in (0.0, 1.0, 2.0, 3.0, 4.0, 50.0)])
-    share = np.array([0.1, 0.1, 0.0, 0.1, 0.1, 0.1])
-    # View 2 does not see the hole; 50 pulls a mean but not a medoid.
-    assert centre_views(centres, share, 2) == [3, 4]
-    assert centre_views(centres, share, 1) == [3]

@@ -1,13 +1,13 @@
 import numpy as np
 
 from inpaint3d.scene.synthetic import SyntheticScene
-from inpaint3d.stages.joint_optimization.scene import SceneView
-from inpaint3d.stages.joint_optimization.shrink import enlarged, grown, pooled, shrunk
+from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.visibility import enlarge_cells, grow_cells, pool_any, shrink_holes
 
 
-def views_of(room: SyntheticScene) -> list[SceneView]:
+def views_of(room: SyntheticScene) -> list[MaskedView]:
     return [
-        SceneView(n, c, i, m, ~m)
+        MaskedView(n, c, i, m, ~m)
         for n, c, i, m in zip(room.names, room.cameras, room.images, room.object_masks, strict=True)
     ]
 
@@ -31,7 +31,7 @@ def test_a_hole_keeps_what_no_view_shows_and_loses_what_others_show(room: Synthe
     """With the room's true depth behind the ball: the wall behind it is known, the floor under it is not."""
     views = views_of(room)
     depths = {v.name: d.astype(np.float32) for v, d in zip(views, room.empty_depths, strict=True)}
-    reduced = shrunk(views, depths, 2)
+    reduced = shrink_holes(views, depths, 2)
     for index in (0, 3):
         before, after = views[index].hole, reduced[index].hole
         seen = np.zeros_like(before)
@@ -39,7 +39,7 @@ def test_a_hole_keeps_what_no_view_shows_and_loses_what_others_show(room: Synthe
         assert not (after & ~before).any()
         assert 0 < after.sum() < before.sum()
         # Away from the border of what is kept, the two agree.
-        assert not (after & ~grown(grown(before & ~seen))).any()
+        assert not (after & ~grow_cells(grow_cells(before & ~seen))).any()
         assert (after[before & ~seen]).mean() > 0.95
 
 
@@ -47,14 +47,14 @@ def test_a_floater_in_front_is_not_taken_for_a_known_surface(room: SyntheticScen
     """Depth on the ball itself: no other view shows that surface outside its mask."""
     views = views_of(room)
     depths = {v.name: d.astype(np.float32) for v, d in zip(views, room.depths, strict=True)}
-    for view, reduced in zip(views, shrunk(views, depths, 2), strict=True):
+    for view, reduced in zip(views, shrink_holes(views, depths, 2), strict=True):
         assert reduced.hole.sum() > 0.9 * view.hole.sum()
 
 
 def test_known_pixels_and_pictures_are_untouched(room: SyntheticScene) -> None:
     views = views_of(room)
     depths = {v.name: d.astype(np.float32)[::2, ::2] for v, d in zip(views, room.empty_depths, strict=True)}
-    for view, reduced in zip(views, shrunk(views, depths, 2), strict=True):
+    for view, reduced in zip(views, shrink_holes(views, depths, 2), strict=True):
         assert reduced.known is view.known
         assert reduced.image is view.image
 
@@ -62,9 +62,9 @@ def test_known_pixels_and_pictures_are_untouched(room: SyntheticScene) -> None:
 def test_cells_are_masked_if_any_pixel_is() -> None:
     mask = np.zeros((6, 9), bool)
     mask[5, 8] = True
-    small = pooled(mask, 2, 3)
+    small = pool_any(mask, 2, 3)
     assert small.sum() == 1
     assert small[1, 2]
-    back = enlarged(small, mask.shape)
+    back = enlarge_cells(small, mask.shape)
     assert back[3:, 6:].all()
     assert back.sum() == 9

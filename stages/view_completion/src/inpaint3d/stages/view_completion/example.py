@@ -16,26 +16,27 @@ from jaxtyping import Bool, Float, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inpaint3d.stages.joint_optimization.membrane import membrane
-from inpaint3d.stages.joint_optimization.scene import Mask
+from inpaint3d.scene.image_io import Mask
+from inpaint3d.diffusion.fill import fill_telea
+from inpaint3d.stages.view_completion.membrane import span_membrane
 
 PATCH = 7
 """Side of a patch, pixels; odd."""
-EXAMPLES = 20_000
+MAX_EXAMPLES = 20_000
 """Patches that are tried at most, spread evenly over the source."""
-LEAST_SOURCE = 500
+MIN_SOURCE = 500
 """Pixels of the source that the coarsest level holds at least."""
-EXHAUSTIVE = 2
+EXHAUSTIVE_LEVELS = 2
 """Coarse levels at which every example is tried."""
 ROUNDS = 4
 """Votes at each level."""
-FORGETTING = 1.3
+DEPTH_DISCOUNT = 1.3
 """A vote weighs less by this factor for each pixel between its patch and the known ones."""
-DARK = 0.05
+LOG_OFFSET = 0.05
 """What colours are raised by before their logarithm is taken."""
-EDGE = 0.7
+MAX_LOG_STEP = 0.7
 """A logarithm by which a copy misses what lies around: more is another thing there, and not another light."""
-LIVELINESS, AROUND = 8.0, 9
+GRADIENT_WEIGHT, GRADIENT_WINDOW = 8.0, 9
 """How many times a colour difference a difference in mean gradient counts; side of the square it is the mean over."""
 
 Picture = Float[Tensor, "h w c"]  # colours, and how lively the surroundings are
@@ -43,7 +44,7 @@ Region = Bool[Tensor, "h w"]
 Origins = Int64[Tensor, "h w"]  # the pixel that each pixel is a copy of; itself where nothing was copied
 
 
-def synthesised(
+def fill_by_example(
     image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
 ) -> NDArray[np.float32]:
     """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`; both [h, w] and disjoint.
@@ -52,52 +53,52 @@ def synthesised(
     holds no whole patch the hole is filled by Telea's method. variety: at the coarsest level any patch may be taken
     that is by at most this share less alike than the best; which, `seed` says. The same arguments give the same bytes.
     """
-    made = copied(image, hole, source, variety=variety, seed=seed)
-    return telea(image, hole) if made is None else blended(*made, hole)
+    made = copy_patches(image, hole, source, variety=variety, seed=seed)
+    return fill_telea(image, hole) if made is None else blend_copies(*made, hole)
 
 
-def copied(
+def copy_patches(
     image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]] | None:
     """`image` with each pixel of the hole a copy of one of the source, and which one [h, w]: y * w + x.
 
-    None where the source holds no whole patch. Arguments as of `synthesised`.
+    None where the source holds no whole patch. Arguments as of `fill_by_example`.
     """
     generator = torch.Generator().manual_seed(seed)
     known = source & ~hole
     levels = 1
-    while np.sqrt(hole.sum()) / 2**levels > PATCH and _area(known, _size(hole, levels)).sum() > LEAST_SOURCE:
+    while np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(known, _level_size(hole, levels)).sum() > MIN_SOURCE:
         levels += 1
-    shown = np.where(hole[..., None], 0, image), LIVELINESS * _mean_gradients(image, ~hole)
+    shown = np.where(hole[..., None], 0, image), GRADIENT_WEIGHT * _mean_gradients(image, ~hole)
     made: tuple[Picture, Origins] | None = None
     for level in reversed(range(levels)):
-        size = _size(hole, level)
-        clear = _area(~hole, size)
-        means = np.concatenate([_area(part, size) for part in shown], -1)
+        size = _level_size(hole, level)
+        clear = _average_cells(~hole, size)
+        means = np.concatenate([_average_cells(part, size) for part in shown], -1)
         picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None])
-        patches = Patches(torch.from_numpy(clear < WHOLE), torch.from_numpy(_area(known, size) > WHOLE))
+        patches = Patches(torch.from_numpy(clear < FULL_COVER), torch.from_numpy(_average_cells(known, size) > FULL_COVER))
         if len(patches.examples) == 0:
             continue
-        everywhere = made is None or level >= levels - EXHAUSTIVE
+        everywhere = made is None or level >= levels - EXHAUSTIVE_LEVELS
         if made is None:
-            picture, origins = patches.peeled(picture, variety, generator), patches.themselves
+            picture, origins = patches.peel(picture, variety, generator), patches.themselves
         else:
-            picture, origins = patches.carried_up(picture, *made)
-        made = patches.settled(picture, origins, generator, everywhere=everywhere)
+            picture, origins = patches.carry_up(picture, *made)
+        made = patches.vote(picture, origins, generator, everywhere=everywhere)
     if made is None:
         return None
     picture, origins = made
     return np.where(hole[..., None], picture[..., :3].numpy(), image).astype(np.float32), origins.numpy()
 
 
-def blended(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask) -> NDArray[np.float32]:
+def blend_copies(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask) -> NDArray[np.float32]:
     """The copies in the hole with the differences that they have where they come from, joined to what lies around.
 
     Poisson blending (Perez, Gangnet and Blake 2003, doi:10.1145/882262.882269) of all pieces at once, in logarithms: a
     piece from the light that is copied into shade becomes darker by a factor, and seams between pieces close. Where
     the surround is another thing (a rim that the mask left) there is nothing to join, and copies stay as they are.
     """
-    light = np.log(picture.astype(np.float64) + DARK)
+    light = np.log(picture.astype(np.float64) + LOG_OFFSET)
     height, width = hole.shape
     from_y, from_x = origins // width, origins % width
     bend = np.zeros_like(light)
@@ -111,18 +112,11 @@ def blended(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask
         theirs = light[from_y[y, x], from_x[y, x]] - light[back_y, back_x]
         copy = hole[y, x][..., None]
         off = light[y, x] - light - np.where(copy, (beside + theirs) / 2, beside)
-        edge = ~copy & (np.abs(off).max(-1, keepdims=True) > EDGE)
+        edge = ~copy & (np.abs(off).max(-1, keepdims=True) > MAX_LOG_STEP)
         bend -= np.where(inside[..., None] & ~edge, off, 0)
     nothing = np.zeros(hole.shape)
-    change = np.stack([membrane(nothing, ~hole, bend[..., channel]) for channel in range(3)], -1)
-    return np.where(hole[..., None], (np.exp(light + change) - DARK).clip(0, 1), picture).astype(np.float32)
-
-
-def telea(image: NDArray[np.float32], hole: Mask, radius: float = 3.0) -> NDArray[np.float32]:
-    """`image` [h, w, 3] in [0, 1] with `hole` filled smoothly (Telea 2004); radius: pixels that it looks around at."""
-    codes = np.round(image.clip(0, 1) * 255).astype(np.uint8)
-    made = cv2.inpaint(codes, hole.astype(np.uint8), radius, cv2.INPAINT_TELEA)
-    return np.where(hole[..., None], made.astype(np.float32) / 255, image).astype(np.float32)
+    change = np.stack([span_membrane(nothing, ~hole, bend[..., channel]) for channel in range(3)], -1)
+    return np.where(hole[..., None], (np.exp(light + change) - LOG_OFFSET).clip(0, 1), picture).astype(np.float32)
 
 
 class Patches:
@@ -133,15 +127,15 @@ class Patches:
         beyond = F.pad((~source)[None, None].float(), (PATCH // 2,) * 4, value=1.0)
         self.usable = F.max_pool2d(beyond, PATCH, 1).flatten() == 0
         usable = torch.nonzero(self.usable)[:, 0]
-        count = min(EXAMPLES, len(usable))
+        count = min(MAX_EXAMPLES, len(usable))
         self.examples = usable[torch.arange(count) * len(usable) // max(1, count)]
-        self.touching = torch.nonzero(_grown(hole, PATCH).flatten())[:, 0]
+        self.touching = torch.nonzero(_grow(hole, PATCH).flatten())[:, 0]
         self.inside = torch.nonzero(hole.flatten())[:, 0]
         self.themselves = torch.arange(hole.numel()).view_as(hole)
         depth = cv2.distanceTransform(hole.numpy().astype(np.uint8), cv2.DIST_L2, 3)
-        self.trust = FORGETTING ** -torch.from_numpy(depth).flatten()[self.touching]
+        self.trust = DEPTH_DISCOUNT ** -torch.from_numpy(depth).flatten()[self.touching]
 
-    def nearest(
+    def find_nearest(
         self,
         picture: Picture,
         at: Int64[Tensor, " n"],
@@ -154,11 +148,11 @@ class Patches:
         Only `valid` pixels of the patches are compared; None: all. With variety every difference counts as up to that
         share more, by chance.
         """
-        flat, channels = _unfolded(picture), picture.shape[-1]
+        flat, channels = _unfold(picture), picture.shape[-1]
         examples, asked = flat[self.examples], flat[at]
         weight = torch.ones_like(asked)
         if valid is not None:
-            weight = _unfolded(valid[..., None].float())[at].repeat(1, channels)
+            weight = _unfold(valid[..., None].float())[at].repeat(1, channels)
         squares = examples.square()
         found, costs = [], []
         for q, w in zip((asked * weight).split(1024), weight.split(1024), strict=True):
@@ -171,13 +165,13 @@ class Patches:
             costs.append(cost.clamp(min=0) / w.sum(1).clamp(min=1))
         return torch.cat(found), torch.cat(costs)
 
-    def nearby(
+    def find_nearby(
         self, picture: Picture, origins: Origins, generator: torch.Generator
     ) -> tuple[Int64[Tensor, " n"], Float[Tensor, " n"]]:
         """For each patch that touches the hole the best of what continues its own or a neighbour's origin, or lies a
         pixel beside such a one; and their mean squared difference.
         """
-        flat = _unfolded(picture)
+        flat = _unfold(picture)
         asked = flat[self.touching]
         height, width = self.hole.shape
         y, x = self.touching // width, self.touching % width
@@ -186,7 +180,7 @@ class Patches:
         for dy, dx in torch.cartesian_prod(torch.arange(-1, 2), torch.arange(-1, 2)):
             near_y, near_x = (y + dy).clamp(0, height - 1), (x + dx).clamp(0, width - 1)
             origin = origins[near_y, near_x]
-            for aside in (torch.zeros(2, len(y), dtype=torch.long), _steps_aside(len(y), generator)):
+            for aside in (torch.zeros(2, len(y), dtype=torch.long), _draw_steps(len(y), generator)):
                 from_y = origin // width - (near_y - y) + aside[0]
                 from_x = origin % width - (near_x - x) + aside[1]
                 inside = (from_y >= 0) & (from_y < height) & (from_x >= 0) & (from_x < width)
@@ -196,21 +190,21 @@ class Patches:
                 best, least = torch.where(better, tried, best), torch.where(better, cost, least)
         # Where no neighbour leads to an example, every example is asked.
         if (lost := torch.nonzero(least.isinf())[:, 0]).numel():
-            best[lost], least[lost] = self.nearest(picture, self.touching[lost])
+            best[lost], least[lost] = self.find_nearest(picture, self.touching[lost])
         return best, least
 
-    def peeled(self, picture: Picture, variety: float, generator: torch.Generator) -> Picture:
+    def peel(self, picture: Picture, variety: float, generator: torch.Generator) -> Picture:
         """The hole filled from its border inwards, each pixel by the middle of a most alike example."""
         picture, missing = picture.clone(), self.hole.clone()
         flat = picture.view(-1, picture.shape[-1])
         while missing.any():
-            border = missing & _grown(~missing, 3)
+            border = missing & _grow(~missing, 3)
             at = torch.nonzero(border.flatten())[:, 0]
-            flat[at] = flat[self.nearest(picture, at, ~missing, variety, generator)[0]]
+            flat[at] = flat[self.find_nearest(picture, at, ~missing, variety, generator)[0]]
             missing &= ~border
         return picture
 
-    def settled(
+    def vote(
         self, picture: Picture, origins: Origins, generator: torch.Generator, *, everywhere: bool
     ) -> tuple[Picture, Origins]:
         """After some rounds of votes: the picture, each pixel of the hole a copy, and where all were copied from.
@@ -219,14 +213,14 @@ class Patches:
         """
         for turn in range(ROUNDS + 1):
             best, cost = (
-                self.nearest(picture, self.touching) if everywhere else self.nearby(picture, origins, generator)
+                self.find_nearest(picture, self.touching) if everywhere else self.find_nearby(picture, origins, generator)
             )
             origins = self.themselves.flatten().index_copy(0, self.touching, best).view_as(self.hole)
             if turn < ROUNDS:
-                picture = self._voted(picture, best, cost)
-        return self._copied(picture, origins), origins
+                picture = self._average_votes(picture, best, cost)
+        return self._apply_copies(picture, origins), origins
 
-    def carried_up(self, picture: Picture, coarse: Picture, coarse_origins: Origins) -> tuple[Picture, Origins]:
+    def carry_up(self, picture: Picture, coarse: Picture, coarse_origins: Origins) -> tuple[Picture, Origins]:
         """A finer level's first guess: each pixel a copy of what lies where its coarse pixel came from; and whence."""
         (h, w), (ch, cw) = self.hole.shape, coarse_origins.shape
         y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
@@ -236,20 +230,20 @@ class Patches:
         there_x = (origin % cw * w // cw + x - cx * w // cw).clamp(0, w - 1)
         origins = there_y * w + there_x
         # A copy of the hole itself, where sizes do not divide, is no example: the coarse colour stands in.
-        guess = torch.where(self.hole.flatten()[origins][..., None], coarse[cy, cx], self._copied(picture, origins))
+        guess = torch.where(self.hole.flatten()[origins][..., None], coarse[cy, cx], self._apply_copies(picture, origins))
         return torch.where(self.hole[..., None], guess, picture), origins
 
-    def _copied(self, picture: Picture, origins: Origins) -> Picture:
+    def _apply_copies(self, picture: Picture, origins: Origins) -> Picture:
         flat = picture.reshape(-1, picture.shape[-1])
         return torch.where(self.hole[..., None], flat[origins.flatten()].view_as(picture), picture)
 
-    def _voted(self, picture: Picture, best: Int64[Tensor, " n"], cost: Float[Tensor, " n"]) -> Picture:
+    def _average_votes(self, picture: Picture, best: Int64[Tensor, " n"], cost: Float[Tensor, " n"]) -> Picture:
         """Each pixel of the hole as the patches over it would have it, every one of them its example."""
         # The kernel is as wide as most patches are off (Wexler et al., sec. 3.2).
         width = torch.quantile(cost, 0.75).clamp(min=1e-8)
         weight = (torch.exp(-cost / (2 * width)) * self.trust).clamp(min=1e-12)
         channels = picture.shape[-1]
-        votes = _unfolded(picture)[best] * weight[:, None]
+        votes = _unfold(picture)[best] * weight[:, None]
         height, reach = len(self.hole), PATCH // 2
         sums, total = picture.new_zeros(height * self.width, channels), picture.new_zeros(height * self.width)
         row, column = self.touching // self.width, self.touching % self.width
@@ -264,11 +258,11 @@ class Patches:
         return flat.view_as(picture)
 
 
-WHOLE = 0.999
+FULL_COVER = 0.999
 """Share of a coarse pixel from which on it counts as covered; sums of float32 miss 1."""
 
 
-def _steps_aside(count: int, generator: torch.Generator) -> Int64[Tensor, "2 n"]:
+def _draw_steps(count: int, generator: torch.Generator) -> Int64[Tensor, "2 n"]:
     return torch.randint(-1, 2, (2, count), generator=generator)
 
 
@@ -282,25 +276,25 @@ def _mean_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float
         next_one = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
         both[here] = known[here] & known[next_one]
         along[here] = np.abs(grey[next_one] - grey[here])
-        share = np.maximum(cv2.blur(both, (AROUND, AROUND)), 1e-6)
-        means.append(np.where(known, cv2.blur(along * both, (AROUND, AROUND)) / share, 0))
+        share = np.maximum(cv2.blur(both, (GRADIENT_WINDOW, GRADIENT_WINDOW)), 1e-6)
+        means.append(np.where(known, cv2.blur(along * both, (GRADIENT_WINDOW, GRADIENT_WINDOW)) / share, 0))
     return np.stack(means, -1).astype(np.float32)
 
 
-def _unfolded(picture: Picture) -> Float[Tensor, "n _"]:
+def _unfold(picture: Picture) -> Float[Tensor, "n _"]:
     """The patch around each pixel, channel by channel; the border goes on outside."""
     padded = F.pad(picture.permute(2, 0, 1)[None], (PATCH // 2,) * 4, mode="replicate")
     return F.unfold(padded, PATCH)[0].T
 
 
-def _grown(region: Region, side: int) -> Region:
+def _grow(region: Region, side: int) -> Region:
     return F.max_pool2d(region[None, None].float(), side, 1, side // 2)[0, 0] > 0
 
 
-def _size(mask: Mask, level: int) -> tuple[int, int]:
+def _level_size(mask: Mask, level: int) -> tuple[int, int]:
     return max(1, mask.shape[0] >> level), max(1, mask.shape[1] >> level)
 
 
-def _area(values: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float32]:
+def _average_cells(values: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float32]:
     """Means over the cells of a coarser grid."""
     return np.asarray(cv2.resize(values.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA), np.float32)

@@ -4,14 +4,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.stages.joint_optimization.scene import Mask
+from inpaint3d.scene.image_io import Mask
 
 ROUNDS = 100
 """Relaxations at each size: what a coarser size leaves is smooth, and these see to the rest."""
 NEIGHBOURS = np.array([[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]])
 
 
-def membrane(
+def span_membrane(
     values: NDArray[np.floating], known: Mask, bend: NDArray[np.floating] | None = None
 ) -> NDArray[np.float64]:
     """`values` [h, w] with each unknown cell at the mean of its four neighbours, `known` cells as they are.
@@ -32,7 +32,7 @@ def membrane(
         mean = cv2.resize(held, size, interpolation=cv2.INTER_AREA) / np.maximum(share, 1e-9)
         # A cell of four has twice the side: differences of second order grow by four.
         coarse_bend = 4 * cv2.resize(bend, size, interpolation=cv2.INTER_AREA)
-        made = cv2.resize(membrane(mean, share > 0, coarse_bend), (width, height), interpolation=cv2.INTER_LINEAR)
+        made = cv2.resize(span_membrane(mean, share > 0, coarse_bend), (width, height), interpolation=cv2.INTER_LINEAR)
     made = np.where(known, held, made)
     for _ in range(ROUNDS):
         around = cv2.filter2D(made, -1, NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)

@@ -1,12 +1,12 @@
 import numpy as np
 
 from inpaint3d.scene.synthetic import SyntheticScene
-from inpaint3d.stages.joint_optimization.scene import Scene, SceneView, unmasked
+from inpaint3d.scene.masked_views import MaskedView, find_unmasked
 
 
 def test_points_under_a_mask_are_dropped(room: SyntheticScene) -> None:
     """The ball's points go, the room's stay, but for those that some view's mask covers by standing before them."""
-    kept = unmasked(room.points, list(room.object_masks))
+    kept = find_unmasked(room.points, list(room.object_masks))
     on_ball = np.linalg.norm(room.points.xyz, axis=1) < 0.2 + 1e-3
     assert on_ball.any()
     assert not kept[on_ball].any()
@@ -14,13 +14,13 @@ def test_points_under_a_mask_are_dropped(room: SyntheticScene) -> None:
 
 
 def test_without_masks_all_points_stay(room: SyntheticScene) -> None:
-    assert unmasked(room.points, [np.zeros_like(m) for m in room.object_masks]).all()
+    assert find_unmasked(room.points, [np.zeros_like(m) for m in room.object_masks]).all()
 
 
 def test_sightings_are_those_of_the_views_to_fit(room: SyntheticScene) -> None:
     shape = room.object_masks[0].shape
     views = [
-        SceneView(name, camera, np.zeros((*shape, 3), np.float32), np.zeros(shape, bool), np.ones(shape, bool))
+        MaskedView(name, camera, np.zeros((*shape, 3), np.float32), np.zeros(shape, bool), np.ones(shape, bool))
         for name, camera in zip(room.names, room.cameras, strict=True)
     ]
     scene = Scene(tuple(views[1:]), (views[0],), room.points, tuple(room.names))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inpaint3d.stages.joint_optimization.membrane import membrane
+from inpaint3d.stages.view_completion.membrane import span_membrane
 
 Y, X = np.mgrid[:120, :160].astype(np.float64)
 KNOWN = (X - 80) ** 2 + (Y - 60) ** 2 > 45**2
@@ -11,23 +11,23 @@ KNOWN = (X - 80) ** 2 + (Y - 60) ** 2 > 45**2
 def test_a_plane_goes_on() -> None:
     """Whatever stood in the gap; to a hundredth of what the plane rises over it."""
     plane = 0.3 + 0.01 * X - 0.004 * Y
-    made = membrane(np.where(KNOWN, plane, 99.0), KNOWN)
+    made = span_membrane(np.where(KNOWN, plane, 99.0), KNOWN)
     np.testing.assert_array_equal(made[KNOWN], plane[KNOWN])
     assert np.abs(made - plane).max() < 0.01 * np.ptp(plane[~KNOWN])
 
 
 def test_what_solves_laplaces_equation_is_found() -> None:
     solution = np.log(np.hypot(X + 20, Y + 30))
-    made = membrane(np.where(KNOWN, solution, 99.0), KNOWN)
+    made = span_membrane(np.where(KNOWN, solution, 99.0), KNOWN)
     assert np.abs(made - solution).max() < 0.01 * np.ptp(solution[~KNOWN])
 
 
 def test_nothing_to_span() -> None:
-    assert not membrane(X, np.zeros_like(KNOWN)).any()
-    np.testing.assert_array_equal(membrane(X, np.ones_like(KNOWN)), X)
+    assert not span_membrane(X, np.zeros_like(KNOWN)).any()
+    np.testing.assert_array_equal(span_membrane(X, np.ones_like(KNOWN)), X)
     one = np.zeros((5, 3), bool)
     one[4, 2] = True
-    np.testing.assert_allclose(membrane(np.where(one, 7.0, 0.0), one), np.full((5, 3), 7.0))
+    np.testing.assert_allclose(span_membrane(np.where(one, 7.0, 0.0), one), np.full((5, 3), 7.0))
 
 
 def test_a_bent_surface_is_found_by_its_bend() -> None:
@@ -35,5 +35,5 @@ def test_a_bent_surface_is_found_by_its_bend() -> None:
     surface = 1e-3 * X**2 + np.sin(Y / 15) * np.cos(X / 11)
     padded = np.pad(surface, 1, mode="edge")
     bend = padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:] - 4 * surface
-    made = membrane(np.where(KNOWN, surface, 99.0), KNOWN, bend)
+    made = span_membrane(np.where(KNOWN, surface, 99.0), KNOWN, bend)
     assert np.abs(made - surface).max() < 0.02 * np.ptp(surface[~KNOWN])

@@ -2,12 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.contracts.artifacts import RadianceFieldArtifact
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.stages.joint_optimization.scene import Mask, SceneView
+from inpaint3d.scene.image_io import Mask, read_exr
+from inpaint3d.scene.masked_views import MaskedView
 
 TOLERANCE = 1.5
 """Cells by which a surface point may miss the pixel it came from, seen there and back through another view's depth.
@@ -15,9 +20,11 @@ TOLERANCE = 1.5
 Both views' depth errors count as far as they show: far away, where little parallax is left, depths may differ a lot.
 """
 
+Cell = TypeVar("Cell", bound=np.generic)
+
 
 @dataclass(frozen=True, eq=False)
-class Coarse:
+class CoarseView:
     """A view at the size of its depth map: camera, depth along the axis, and what the mask leaves of each cell."""
 
     camera: Camera
@@ -26,29 +33,44 @@ class Coarse:
     known: Mask  # every pixel of the cell is known
 
 
-def shrunk(views: Sequence[SceneView], depths: Mapping[str, NDArray[np.float32]], least_views: int) -> list[SceneView]:
-    """The views with their holes reduced to what fewer than `least_views` other views know.
+def load_depth_maps(
+    views: Sequence[MaskedView], field: Artifact[RadianceFieldArtifact]
+) -> dict[str, NDArray[np.float32]]:
+    """By view, where the light of a fitted field stops (median depth z, scene units), as its artifact has it.
+
+    Raises BadInputError where the field has no render of a view.
+    """
+    maps = {v.name: read_exr(field.path(v.maps))["median.Z"] for v in field.metadata.views}
+    if missing := [v.name for v in views if v.name not in maps]:
+        raise BadInputError(f"the field has no render of view {missing[0]}; it belongs to another capture")
+    return maps
+
+
+def shrink_holes(
+    views: Sequence[MaskedView], depths: Mapping[str, NDArray[np.float32]], min_supporting_views: int
+) -> list[MaskedView]:
+    """The views with their holes reduced to what fewer than `min_supporting_views` other views know.
 
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
     alone. A masked pixel is known elsewhere if the surface point behind it projects onto known pixels of other views,
     and what they see there projects back onto it. What a hole loses is neither hole nor known: nothing is distilled
     there, and the photo's pixels stay blank.
     """
-    coarse = [coarsened(v, depths[v.name]) for v in views]
+    coarse = [coarsen(v, depths[v.name]) for v in views]
     reduced = []
     for index, (view, own) in enumerate(zip(views, coarse, strict=True)):
-        witnesses = np.zeros(own.hole.shape, np.int64)
+        support = np.zeros(own.hole.shape, np.int64)
         y, x = np.nonzero(own.hole)
         pixels = np.stack([x + 0.5, y + 0.5], -1)
         points = own.camera.unproject(pixels, own.depth[y, x])
         for other in (*coarse[:index], *coarse[index + 1 :]):
-            witnesses[y, x] += witnessed(other, points, own.camera, pixels)
-        unseen = grown(own.hole & (witnesses < least_views))
-        reduced.append(replace(view, hole=view.hole & enlarged(unseen, view.hole.shape)))
+            support[y, x] += find_visible(other, points, own.camera, pixels)
+        unseen = grow_cells(own.hole & (support < min_supporting_views))
+        reduced.append(replace(view, hole=view.hole & enlarge_cells(unseen, view.hole.shape)))
     return reduced
 
 
-def witnessed(view: Coarse, points: NDArray[np.float64], own: Camera, pixels: NDArray[np.floating]) -> Mask:
+def find_visible(view: CoarseView, points: NDArray[np.float64], own: Camera, pixels: NDArray[np.floating]) -> Mask:
     """Which points [n, 3], seen by `own` at `pixels` [n, 2], lie on a surface that the view shows outside its mask."""
     xy, z = view.camera.project(points)
     inside = view.camera.inside(xy, z)
@@ -58,27 +80,27 @@ def witnessed(view: Coarse, points: NDArray[np.float64], own: Camera, pixels: ND
     return inside & view.known[y, x] & (depth > 0) & (missed < TOLERANCE)
 
 
-def coarsened(view: SceneView, depth: NDArray[np.float32]) -> Coarse:
+def coarsen(view: MaskedView, depth: NDArray[np.float32]) -> CoarseView:
     """The view at the size of its depth map [h, w]."""
     h, w = depth.shape
-    return Coarse(view.camera.scaled(w, h), depth, pooled(view.hole, h, w), ~pooled(~view.known, h, w))
+    return CoarseView(view.camera.scaled(w, h), depth, pool_any(view.hole, h, w), ~pool_any(~view.known, h, w))
 
 
-def pooled(mask: Mask, height: int, width: int) -> Mask:
+def pool_any(mask: Mask, height: int, width: int) -> Mask:
     """Whether any pixel of each cell is set; `mask` [h, w] is at least as large as (height, width)."""
     rows = np.linspace(0, mask.shape[0], height + 1)[:-1].astype(np.int64)
     columns = np.linspace(0, mask.shape[1], width + 1)[:-1].astype(np.int64)
     return np.logical_or.reduceat(np.logical_or.reduceat(mask, rows, axis=0), columns, axis=1)
 
 
-def enlarged(mask: Mask, shape: tuple[int, ...]) -> Mask:
-    """The nearest cell of `mask` for each pixel of a picture of `shape` (h, w)."""
-    y = (np.arange(shape[0]) + 0.5) * mask.shape[0] / shape[0]
-    x = (np.arange(shape[1]) + 0.5) * mask.shape[1] / shape[1]
-    return mask[y.astype(np.int64)[:, None], x.astype(np.int64)[None]]
+def enlarge_cells(cells: NDArray[Cell], shape: tuple[int, ...]) -> NDArray[Cell]:
+    """The nearest of `cells` [h, w] for each pixel of a picture of `shape` (h, w)."""
+    y = (np.arange(shape[0]) + 0.5) * cells.shape[0] / shape[0]
+    x = (np.arange(shape[1]) + 0.5) * cells.shape[1] / shape[1]
+    return cells[y.astype(np.int64)[:, None], x.astype(np.int64)[None]]
 
 
-def grown(mask: Mask) -> Mask:
+def grow_cells(mask: Mask) -> Mask:
     """One cell to every side: a seam between what is kept and what is made up needs room to be closed."""
     padded = np.pad(mask, 1)
     h, w = mask.shape

@@ -1,9 +1,12 @@
-"""Which window of a view the prior looks at: overlapping the hole, with known pixels around it (row S1)."""
+"""Square windows of a view that overlap its hole, with known pixels around it: what a prior is shown (row S1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from inpaint3d.scene.masked_views import MaskedView
 
 
 @dataclass(frozen=True)
@@ -22,20 +25,20 @@ class Window:
         xx, yy = np.meshgrid(self.x + steps, self.y + steps)
         return np.stack([xx, yy], -1).astype(np.float32)
 
-    def look_up(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
+    def sample(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
         """The pixels of `image` [h, w, ...] that hold the cells' centres, [size, size, ...]."""
         xy = np.floor(self.pixels()).astype(np.int64)
         h, w = image.shape[:2]
         return image[np.clip(xy[..., 1], 0, h - 1), np.clip(xy[..., 0], 0, w - 1)]
 
 
-def window_side(span: float, size: int, height: int, width: int) -> int:
+def compute_window_side(span: float, size: int, height: int, width: int) -> int:
     """Side in whole pixels of a window over `span` of the short side, at least one pixel a ray, within the picture."""
     short = min(height, width)
     return min(short, max(size, round(span * short)))
 
 
-def box_sums(mask: NDArray[np.bool_], side: int) -> NDArray[np.int64]:
+def sum_boxes(mask: NDArray[np.bool_], side: int) -> NDArray[np.int64]:
     """How many pixels of `mask` [h, w] every side x side window holds, [h - side + 1, w - side + 1]."""
     table = np.pad(mask.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     return table[side:, side:] - table[:-side, side:] - table[side:, :-side] + table[:-side, :-side]
@@ -48,21 +51,21 @@ def draw_window(
     *,
     size: int,
     span: float,
-    least_known: float,
+    min_known: float,
     rng: np.random.Generator | None,
 ) -> Window | None:
-    """A random window that overlaps `hole` [h, w] and of which `known` [h, w] fills at least the share `least_known`.
+    """A random window that overlaps `hole` [h, w] and of which `known` [h, w] fills at least the share `min_known`.
 
     Windows are drawn in proportion to the hole that they cover, since the rest of a window only tells the prior where
     it is. Where no window of this span holds enough known pixels the one with the most is taken; None only where the
     view has no hole at all. Without `rng` it is the middle one of those that cover most of the hole.
     """
-    side = window_side(span, size, *hole.shape)
-    covered = box_sums(hole, side).astype(np.float64)
+    side = compute_window_side(span, size, *hole.shape)
+    covered = sum_boxes(hole, side).astype(np.float64)
     if not covered.any():
         return None
-    context = box_sums(known, side)
-    enough = np.maximum(1, least_known * side * side)
+    context = sum_boxes(known, side)
+    enough = np.maximum(1, min_known * side * side)
     odds = np.where(context >= enough, covered, 0.0)
     if not odds.any():
         odds = np.where((covered > 0) & (context == context[covered > 0].max()), covered, 0.0)
@@ -76,12 +79,11 @@ def draw_window(
     return Window(view, float(x), float(y), side / size, size)
 
 
-def centre_views(centres: NDArray[np.float64], hole_share: NDArray[np.float64], count: int) -> list[int]:
-    """The views of a small baseline that distillation starts from (S8), nearest first.
-
-    The first is the medoid of the camera centres [n, 3] among the views that see the hole; the others are its nearest.
-    """
-    seeing = np.flatnonzero(hole_share > 0)
-    distance = np.linalg.norm(centres[seeing, None] - centres[None, seeing], axis=-1)
-    medoid = int(distance.sum(1).argmin())
-    return [int(seeing[i]) for i in np.argsort(distance[medoid], kind="stable")[:count]]
+def choose_fixed_windows(
+    views: Sequence[MaskedView], *, size: int, span: float, min_known: float
+) -> list[Window | None]:
+    """One window of each view, over most of its hole; None where it shows none, or nothing known around it."""
+    return [
+        draw_window(v.hole, v.known, i, size=size, span=span, min_known=min_known, rng=None) if v.known.any() else None
+        for i, v in enumerate(views)
+    ]

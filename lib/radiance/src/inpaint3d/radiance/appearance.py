@@ -12,12 +12,15 @@ DARKEST = 1e-3
 """Codes act on logits, which black and white do not have."""
 
 
-class Recolour:
-    """Between the appearance of a training view and the mean of all, which renders for the hole have."""
+class AppearanceMap:
+    """Between the appearance of a training view and the mean of all, which renders for the hole have.
 
-    def __init__(self, field: RadianceField) -> None:
+    field: with a code for each training view; without one, or without codes, pictures stay as they are.
+    """
+
+    def __init__(self, field: RadianceField | None) -> None:
         self._codes: tuple[torch.Tensor, torch.Tensor] | None = None
-        if field.spec.glo:
+        if field is not None and field.spec.glo:
             with torch.no_grad():
                 views = torch.arange(field.spec.glo_views, device=field.device)
                 each, mean = field.appearance(views, "view"), field.appearance(None, "mean")
@@ -26,14 +29,14 @@ class Recolour:
 
     def to_mean(self, image: Image, view: int) -> Image:
         """The picture of a view as the mean code would show it."""
-        return image if self._codes is None else _between(image, self._codes[0][view], self._codes[1])
+        return image if self._codes is None else _convert(image, self._codes[0][view], self._codes[1])
 
     def from_mean(self, image: Image, view: int) -> Image:
         """The other way round."""
-        return image if self._codes is None else _between(image, self._codes[1], self._codes[0][view])
+        return image if self._codes is None else _convert(image, self._codes[1], self._codes[0][view])
 
 
-def _between(image: Image, own: torch.Tensor, wanted: torch.Tensor) -> Image:
+def _convert(image: Image, own: torch.Tensor, wanted: torch.Tensor) -> Image:
     """From one log gain and offset of the logits to another, each [6]."""
     share = (torch.from_numpy(image) + COLOUR_PADDING) / (1 + 2 * COLOUR_PADDING)
     logits = torch.logit(share.clamp(DARKEST, 1 - DARKEST))

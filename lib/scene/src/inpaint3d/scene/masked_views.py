@@ -1,4 +1,4 @@
-"""The capture as the optimisation may see it: pictures blanked under the mask as soon as they are read."""
+"""The capture as completion and optimisation may see it: pictures blanked under the mask as soon as they are read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,16 +9,13 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.artifacts import MaskSet, PosedCapture
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed
-from inpaint3d.scene.image_io import read_mask
-
-Mask = NDArray[np.bool_]
+from inpaint3d.scene.image_io import Mask, read_mask
 
 
 @dataclass(frozen=True, eq=False)
-class SceneView:
+class MaskedView:
     """image: sRGB-encoded float32 [h, w, 3], 0 where not `known`; hole, known: bool [h, w].
 
     A pixel is neither where undistortion left the picture empty outside the hole.
@@ -36,14 +33,14 @@ class SceneView:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class MaskedScene:
     """Views to fit, views kept back to score the known pixels, and the sparse points that no mask covers.
 
     order: names of the frames that the points' tracks count by.
     """
 
-    train: tuple[SceneView, ...]
-    test: tuple[SceneView, ...]
+    train: tuple[MaskedView, ...]
+    test: tuple[MaskedView, ...]
     sparse: SparsePoints
     order: tuple[str, ...]
 
@@ -52,20 +49,11 @@ class Scene:
         """[p, 3] in scene units."""
         return self.sparse.xyz
 
-    def sightings(self, device: str) -> Sightings | None:
-        """The sparse points as the views to fit saw them; None where they saw none."""
-        cameras = {v.name: v.camera for v in (*self.train, *self.test)}
-        fitted = np.isin(self.order, [v.name for v in self.train])
-        among = fitted[self.sparse.track_frame]
-        if not among.any():
-            return None
-        return Sightings.of([cameras[name] for name in self.order], self.sparse, among, device)
 
-
-def load_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> Scene:
+def load_masked_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> MaskedScene:
     """Every posed view with its mask. BadInputError where a mask is missing, misshapen or leaves nothing known."""
     by_name = {m.name: m for m in masks.metadata.views}
-    views: dict[str, list[SceneView]] = {"train": [], "test": []}
+    views: dict[str, list[MaskedView]] = {"train": [], "test": []}
     for view in load_posed(posed):
         if (mask := by_name.get(view.name)) is None:
             raise BadInputError(f"the mask set has no mask for view {view.name}; re-run mask-authoring on this capture")
@@ -73,17 +61,17 @@ def load_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> Scene
         known = view.valid() & ~hole
         # Blanked here, once: nothing after this line can look under the mask, whatever it does wrong.
         image = np.where(known[..., None], view.image(), np.float32(0))
-        views[view.split].append(SceneView(view.name, view.camera, image, hole, known))
+        views[view.split].append(MaskedView(view.name, view.camera, image, hole, known))
     if not any(v.known.any() for v in views["train"]):
         raise BadInputError("the masks cover every training pixel; author a smaller mask")
     points = load_points(posed.path(posed.metadata.points))
     holes = {v.name: v.hole for v in (*views["train"], *views["test"])}
     order = tuple(f.name for f in posed.metadata.frames)
-    seen = unmasked(points, [holes[name] for name in order])
-    return Scene(tuple(views["train"]), tuple(views["test"]), points.select(seen), order)
+    unmasked = find_unmasked(points, [holes[name] for name in order])
+    return MaskedScene(tuple(views["train"]), tuple(views["test"]), points.select(unmasked), order)
 
 
-def unmasked(points: SparsePoints, holes: Sequence[Mask]) -> Mask:
+def find_unmasked(points: SparsePoints, holes: Sequence[Mask]) -> Mask:
     """Which points, bool [p], were never seen under a mask; `holes` are those of the frames that tracks count by."""
     covered = np.zeros(len(points), bool)
     xy = np.floor(points.track_xy).astype(np.int64)
@@ -94,6 +82,6 @@ def unmasked(points: SparsePoints, holes: Sequence[Mask]) -> Mask:
     return ~covered
 
 
-def distillable(views: Sequence[SceneView]) -> list[int]:
+def find_fillable(views: Sequence[MaskedView]) -> list[int]:
     """Indices of the views that show both the hole and something known around it."""
     return [i for i, v in enumerate(views) if v.hole.any() and v.known.any()]

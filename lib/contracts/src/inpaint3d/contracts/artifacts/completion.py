@@ -1,0 +1,57 @@
+"""Pictures without their holes: what completion makes of every view, and what a person painted into some."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from inpaint3d.contracts.model import Closed, FrameName, RelativePath, Share
+
+SourceName = Literal["painted", "example", "prior", "smooth"]
+SOURCE_CODES: dict[SourceName, int] = {"painted": 1, "example": 2, "prior": 3, "smooth": 4}
+"""Codes of a source map for what no photo shows: a person, patches of the view itself, a prior, a smooth fill."""
+FIRST_PHOTO = 16
+"""Code of a source map: FIRST_PHOTO + i says that the colour is that of the photo of `views[i]`."""
+
+
+class CompletedView(Closed):
+    """A training view with its hole filled, in the view's own exposure; pixels that the photo knows are the photo's."""
+
+    name: FrameName
+    picture: RelativePath = Field(description="pictures/NAME.png: 8-bit sRGB, of the posed frame's size")
+    sources: RelativePath = Field(
+        description="sources/NAME.png: 16-bit, of the same size; for each pixel that was filled where it came from "
+        "(1 painted, 2 example, 3 prior, 4 smooth, 16 + i the photo of view i of this artifact), 0 where nothing was"
+    )
+    depth: RelativePath | None = Field(
+        default=None,
+        description="depth/NAME.exr: depth.Z along the axis with the hole's surface completed, scene units, at the "
+        "size of the field's renders; None where the method makes no surface",
+    )
+    shares: dict[Literal["photos", "painted", "example", "prior", "smooth"], Share] = Field(
+        default={}, description="of the pixels that were filled, by source"
+    )
+
+
+class CompletedViews(Closed):
+    """Every training view completed."""
+
+    method: str = Field(description="how: photo-completion, classical, prior-samples")
+    summary: str = Field(description="what came from where, in words")
+    views: tuple[CompletedView, ...]
+    reference_views: tuple[FrameName, ...] = Field(
+        default=(), description="views in which what no photo shows was made up, in this order"
+    )
+
+
+class PaintedView(Closed):
+    """A view that somebody painted in, of the posed frame's size."""
+
+    name: FrameName
+    picture: RelativePath = Field(description="pictures/NAME.png: 8-bit sRGB")
+    mask: RelativePath = Field(description="masks/NAME.png: 8-bit, above 127 where it was painted")
+
+
+class PaintedViews(Closed):
+    """Views that somebody painted in, first those that count more where they contradict each other."""
+
+    views: tuple[PaintedView, ...]

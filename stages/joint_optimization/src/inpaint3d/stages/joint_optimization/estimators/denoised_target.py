@@ -1,0 +1,33 @@
+"""The render noised and denoised again is the target (arXiv:2212.00792, arXiv:2312.02981)."""
+
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator, Setting
+
+if TYPE_CHECKING:
+    from inpaint3d.scene.masked_views import MaskedView
+    from inpaint3d.stages.joint_optimization.guidance import Guide
+
+
+class DenoisedTarget(Narrowing, PriorEstimator):
+    """A target by a few DDIM steps from the noised render."""
+
+    name: Literal["denoised-target"] = "denoised-target"
+    denoise_steps: Count = Field(default=4, description="DDIM steps from the noised render to its target")
+
+    def evaluations(self) -> int:
+        return self.denoise_steps * self.conditional_evaluations
+
+    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
+        from inpaint3d.diffusion.distillation import denoised_target_gradient
+        from inpaint3d.stages.joint_optimization.guidance import PriorGuide
+
+        prior, g, steps = self.load_prior(setting), self.guidance, self.denoise_steps
+        return PriorGuide(
+            prior,
+            lambda q: denoised_target_gradient(
+                prior, q.x, q.mask, q.t, q.eps, guidance=g, noise_fill=q.noise_fill, steps=steps
+            ),
+        )

@@ -1,0 +1,31 @@
+"""Interval score matching (arXiv:2311.11284)."""
+
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator, Setting
+
+if TYPE_CHECKING:
+    from inpaint3d.scene.masked_views import MaskedView
+    from inpaint3d.stages.joint_optimization.guidance import Guide
+
+
+class Ism(Narrowing, PriorEstimator):
+    """Interval score matching."""
+
+    name: Literal["ism"] = "ism"
+    inversion_steps: Count = Field(default=4, description="DDIM steps from the render to the noise level before t")
+
+    def evaluations(self) -> int:
+        return self.inversion_steps + 1 + self.conditional_evaluations
+
+    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
+        from inpaint3d.diffusion.distillation import ism_gradient
+        from inpaint3d.stages.joint_optimization.guidance import PriorGuide
+
+        prior, g, steps = self.load_prior(setting), self.guidance, self.inversion_steps
+        return PriorGuide(
+            prior,
+            lambda q: ism_gradient(prior, q.x, q.mask, q.t, guidance=g, noise_fill=q.noise_fill, steps=steps),
+        )

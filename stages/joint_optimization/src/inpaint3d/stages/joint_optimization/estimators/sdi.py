@@ -1,0 +1,31 @@
+"""Score distillation via DDIM inversion (arXiv:2405.15891); inverted without guidance."""
+
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator, Setting
+
+if TYPE_CHECKING:
+    from inpaint3d.scene.masked_views import MaskedView
+    from inpaint3d.stages.joint_optimization.guidance import Guide
+
+
+class Sdi(Narrowing, PriorEstimator):
+    """Score distillation via inversion."""
+
+    name: Literal["sdi"] = "sdi"
+    inversion_steps: Count = Field(default=4, description="DDIM steps from the render to its noise")
+
+    def evaluations(self) -> int:
+        return self.inversion_steps + self.conditional_evaluations
+
+    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
+        from inpaint3d.diffusion.distillation import sdi_gradient
+        from inpaint3d.stages.joint_optimization.guidance import PriorGuide
+
+        prior, g, steps = self.load_prior(setting), self.guidance, self.inversion_steps
+        return PriorGuide(
+            prior,
+            lambda q: sdi_gradient(prior, q.x, q.mask, q.t, guidance=g, noise_fill=q.noise_fill, steps=steps),
+        )

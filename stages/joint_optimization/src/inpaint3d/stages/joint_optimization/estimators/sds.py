@@ -1,0 +1,28 @@
+"""Score distillation (DreamFusion, arXiv:2209.14988): the paper's estimator."""
+
+from typing import TYPE_CHECKING, Literal
+
+from inpaint3d.stages.joint_optimization.estimators.base import Narrowing, PriorEstimator, Setting
+
+if TYPE_CHECKING:
+    from inpaint3d.scene.masked_views import MaskedView
+    from inpaint3d.stages.joint_optimization.guidance import Guide
+
+
+class Sds(Narrowing, PriorEstimator):
+    """Score distillation sampling."""
+
+    name: Literal["sds"] = "sds"
+
+    def evaluations(self) -> int:
+        return self.conditional_evaluations
+
+    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
+        from inpaint3d.diffusion.distillation import sds_gradient
+        from inpaint3d.stages.joint_optimization.guidance import PriorGuide
+
+        prior = self.load_prior(setting)
+        return PriorGuide(
+            prior,
+            lambda q: sds_gradient(prior, q.x, q.mask, q.t, q.eps, guidance=self.guidance, noise_fill=q.noise_fill),
+        )

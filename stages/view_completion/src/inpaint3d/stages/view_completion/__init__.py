@@ -1,0 +1,1 @@
+"""Reconstruction outside the mask, distilled prior inside."""

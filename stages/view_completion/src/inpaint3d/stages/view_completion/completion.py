@@ -1,0 +1,56 @@
+"""A view without its hole, whatever filled it, and how it is written."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts import CompletedView, CompletedViews
+from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.scene.image_io import write_codes, write_exr, write_png
+
+
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """picture: sRGB-encoded float32 [h, w, 3] in the view's own exposure, the photo's own where it is known.
+
+    sources: uint16 [h, w], where each filled pixel came from (`CompletedView.sources`). depth: z along the axis [h', w']
+    of every cell of the depth map, scene units; None where the method makes no surface.
+    """
+
+    name: str
+    picture: NDArray[np.float32]
+    sources: NDArray[np.uint16]
+    depth: NDArray[np.float32] | None = None
+
+
+def write_completions(
+    folder: Path, completions: Sequence[Completion], *, method: str, summary: str, reference_views: Sequence[str] = ()
+) -> CompletedViews:
+    """Write every view's files below `folder`; returns the artifact's metadata."""
+    return CompletedViews(
+        method=method,
+        summary=summary,
+        views=tuple(_write_completion(folder, one) for one in completions),
+        reference_views=tuple(reference_views),
+    )
+
+
+def _write_completion(folder: Path, one: Completion) -> CompletedView:
+    picture, sources = f"pictures/{one.name}.png", f"sources/{one.name}.png"
+    depth = None if one.depth is None else f"depth/{one.name}.exr"
+    write_png(folder / picture, one.picture)
+    write_codes(folder / sources, one.sources)
+    if one.depth is not None:
+        write_exr(folder / f"depth/{one.name}.exr", {"depth.Z": one.depth})
+    return CompletedView(name=one.name, picture=picture, sources=sources, depth=depth, shares=share_sources(one.sources))
+
+
+def share_sources(sources: NDArray[np.uint16]) -> dict[str, float]:
+    """By source, its share of the filled pixels of a map [h, w]; sources that it does not hold are left out."""
+    filled = sources[sources > 0]
+    counts = {"photos": int((filled >= FIRST_PHOTO).sum())}
+    counts |= {name: int((filled == code).sum()) for name, code in SOURCE_CODES.items()}
+    return {name: round(count / len(filled), 6) for name, count in counts.items() if count}

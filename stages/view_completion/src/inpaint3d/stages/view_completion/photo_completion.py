@@ -1,0 +1,280 @@
+"""What lies behind the hole, the same from every view: recovered, or made up in a reference view, and carried.
+
+Most of a hole is known to other photos, and is taken from them as sharp as they are. What none shows gets a surface and
+colours in the view that misses most of it, and both are carried to the others, as reference-guided inpainting of
+radiance fields does (Mirzaei et al. 2023, arXiv:2304.09677), until nothing is left.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.radiance.appearance import AppearanceMap
+from inpaint3d.scene.image_io import Image, Mask
+from inpaint3d.diffusion.fill import fill_telea
+from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
+from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, find_visible, grow_cells
+from inpaint3d.stages.view_completion.completion import Completion
+from inpaint3d.stages.view_completion.config import PhotoCompletion
+from inpaint3d.stages.view_completion.example import fill_by_example
+from inpaint3d.stages.view_completion.membrane import span_membrane
+
+REACH = 1.8
+"""Patches are copied from surfaces this much further from the middle of a gap than its own edge is, in space."""
+MIN_GAP = 5
+"""Pixels across from which on a gap is one; less is a crack, and is closed smoothly."""
+MIN_SHARE = 0.01
+"""Share of a hole below which its gaps are not worth another reference view."""
+PAINTED, EXAMPLE, SMOOTH = (SOURCE_CODES[name] for name in ("painted", "example", "smooth"))
+
+Sources = NDArray[np.uint16]
+Tick = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Painting:
+    """What somebody painted into a view: picture [h, w, 3] in the view's own exposure, mask [h, w] where."""
+
+    picture: Image
+    mask: Mask
+
+
+@dataclass(eq=False)
+class Draft:
+    """A view on its way: picture [h, w, 3] in the mean appearance, 0 where `missing`; sources [h, w] of what is filled.
+
+    unsure: cells of `coarse` whose surface no photo shows; its depth says nothing there until they are settled.
+    """
+
+    index: int
+    view: MaskedView
+    coarse: CoarseView
+    picture: Image
+    missing: Mask
+    unsure: Mask
+    sources: Sources
+
+    @cached_property
+    def depth(self) -> NDArray[np.float64]:
+        """Depth z of every pixel [h, w], scene units."""
+        # Disparity, since that is what is linear over a plane.
+        size = (self.view.camera.width, self.view.camera.height)
+        return 1 / cv2.resize(1 / self.coarse.depth.astype(np.float64), size, interpolation=cv2.INTER_LINEAR)
+
+    @property
+    def gaps(self) -> Mask:
+        """What is missing, without its cracks."""
+        square = np.ones((MIN_GAP, MIN_GAP), np.uint8)
+        return cv2.morphologyEx(self.missing.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
+
+    def fill(self, where: Mask, colours: Image, sources: Sources | int) -> None:
+        """Take `where` [h, w] from `colours` [h, w, 3], which came from `sources` [h, w]."""
+        self.picture = np.where(where[..., None], colours, self.picture).astype(np.float32)
+        self.sources = np.where(where, sources, self.sources).astype(np.uint16)
+        self.missing = self.missing & ~where
+
+    def settle(self, where: Mask, depth: NDArray[np.floating]) -> None:
+        """Take the surface of the unsure cells `where` from `depth`, z [h, w] of the cells."""
+        self.coarse = replace(self.coarse, depth=np.where(where, depth, self.coarse.depth).astype(np.float32))
+        self.unsure = self.unsure & ~where
+        self.__dict__.pop("depth", None)
+
+
+def complete_from_photos(
+    views: Sequence[MaskedView],
+    depths: Mapping[str, NDArray[np.float32]],
+    appearance: AppearanceMap,
+    method: PhotoCompletion,
+    *,
+    seed: int,
+    paintings: Mapping[str, Painting] | None = None,
+    tick: Tick | None = None,
+) -> tuple[list[Completion], str, list[str]]:
+    """Each view with nothing missing, how they came about in words, and the views in which something was made up.
+
+    depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
+    alone. paintings: by view, first those that count more; each is taken before anything else is made up.
+    """
+    say = tick or (lambda done, total, message: None)
+    steps = len(views) + method.max_reference_views + len(paintings or {}) + 1
+    drafts = [
+        _start_draft(i, view, depths[view.name], appearance.to_mean(view.image, i)) for i, view in enumerate(views)
+    ]
+    _recover_all(drafts, method.min_supporting_views, lambda done, message: say(done, steps, message))
+    unknown = sum(int(d.missing.sum()) for d in drafts) / max(1, sum(int(v.hole.sum()) for v in views))
+    by_name = {d.view.name: d for d in drafts}
+    for count, (name, painting) in enumerate((paintings or {}).items()):
+        say(len(views) + count, steps, f"carrying what was painted in {name}")
+        _take_painting(by_name[name], painting, appearance)
+        _carry_to_others(by_name[name], drafts)
+    references: list[str] = []
+    while len(references) < method.max_reference_views:
+        reference = max(drafts, key=lambda d: int(d.gaps.sum()))
+        if reference.gaps.sum() <= MIN_SHARE * reference.view.hole.sum():
+            break
+        references.append(reference.view.name)
+        say(steps - 1 - method.max_reference_views + len(references), steps, f"making up {reference.view.name}")
+        _span_unsure(reference)
+        _fill_gaps(reference, method.variety, seed)
+        _carry_to_others(reference, drafts)
+    for draft in drafts:
+        _span_unsure(draft)
+        draft.fill(draft.missing, fill_telea(draft.picture, draft.missing), SMOOTH)
+    made = [
+        Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth) for d in drafts
+    ]
+    return made, _describe(unknown, list(paintings or {}), references), references
+
+
+def _describe(unknown: float, painted: Sequence[str], references: Sequence[str]) -> str:
+    words = f"{1 - unknown:.0%} of what is masked as other photos show it"
+    if painted:
+        words += f", the rest as painted in {' and '.join(painted)}"
+    words += ", the rest by example" if not painted else ", then by example"
+    return f"{words} in {' and '.join(references)}" if references else words
+
+
+def _restore_exposure(draft: Draft, appearance: AppearanceMap) -> Image:
+    """The draft's picture in its view's own exposure; known pixels are the photo's own, to the bit."""
+    own = appearance.from_mean(draft.picture, draft.index)
+    return np.where(draft.view.hole[..., None], own, draft.view.image).astype(np.float32)
+
+
+def _start_draft(index: int, view: MaskedView, depth: NDArray[np.float32], picture: Image) -> Draft:
+    coarse = coarsen(view, depth)
+    # One cell inside: next to a mask its object shows through, and interpolation reads beyond.
+    coarse = replace(coarse, known=~grow_cells(~coarse.known))
+    blank = np.where(view.known[..., None], picture, np.float32(0))
+    sources = np.zeros(view.hole.shape, np.uint16)
+    return Draft(index, view, coarse, blank, view.hole.copy(), grow_cells(coarse.hole), sources)
+
+
+def _recover_all(drafts: Sequence[Draft], min_supporting_views: int, tick: Callable[[int, str], None]) -> None:
+    """Fill every draft with what other photos show; none of it is seen by another one's recovery."""
+    photos = [d.picture for d in drafts]
+    found = []
+    for draft in drafts:
+        tick(draft.index, f"looking for {draft.view.name} in other photos")
+        found.append(_recover(draft, drafts, photos, min_supporting_views))
+    for draft, (sure, where, colours, sources) in zip(drafts, found, strict=True):
+        draft.fill(where, colours, sources)
+        draft.unsure = draft.unsure & ~sure
+
+
+def _recover(
+    own: Draft, drafts: Sequence[Draft], photos: Sequence[Image], min_supporting_views: int
+) -> tuple[Mask, Mask, Image, Sources]:
+    """What enough other photos show of the masked surfaces: in which cells, in which pixels, their colours in the photo
+    that looks from nearest the same side, and which one that is.
+    """
+    y, x = np.nonzero(own.coarse.hole)
+    pixels = np.stack([x + 0.5, y + 0.5], -1)
+    points = own.coarse.camera.unproject(pixels, own.coarse.depth[y, x])
+    towards = _look_at(points, own)
+    support, best, closest = np.zeros(len(y), np.int64), np.full(len(y), -1), np.full(len(y), -np.inf)
+    for other in drafts:
+        if other is own:
+            continue
+        visible = find_visible(other.coarse, points, own.coarse.camera, pixels)
+        alike = np.where(visible, (_look_at(points, other) * towards).sum(-1), -np.inf)
+        support += visible
+        best[alike > closest] = other.index
+        closest = np.maximum(closest, alike)
+    chosen = np.full(own.coarse.hole.shape, -1)
+    chosen[y, x] = np.where(support >= min_supporting_views, best, -1)
+    sure = chosen >= 0
+    chosen = np.where(own.view.hole, enlarge_cells(chosen, own.view.hole.shape), -1)
+    where, colours = np.zeros_like(own.view.hole), own.picture.copy()
+    for index in np.unique(chosen[chosen >= 0]):
+        there = drafts[index].view
+        y, x = np.nonzero(chosen == index)
+        points = own.view.camera.unproject(np.stack([x + 0.5, y + 0.5], -1), own.depth[y, x])
+        xy, z = there.camera.project(points)
+        sound = _surely_known(there, xy, z)
+        where[y[sound], x[sound]] = True
+        colours[y[sound], x[sound]] = sample_bilinear(photos[index], xy[sound])
+    return sure, where, colours, (FIRST_PHOTO + chosen.clip(min=0)).astype(np.uint16)
+
+
+def _look_at(points: NDArray[np.float64], draft: Draft) -> NDArray[np.float64]:
+    """Unit directions [n, 3] in which a view's camera sees points [n, 3]."""
+    towards = points - draft.view.camera.centre
+    return towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+
+
+def _surely_known(view: MaskedView, xy: NDArray[np.float64], z: NDArray[np.float64]) -> Mask:
+    """Whether every pixel that interpolation at `xy` [n, 2] reads is known."""
+    inside = view.camera.inside(xy, z)
+    x, y = (np.where(inside, xy[:, axis], 0).astype(np.int64) for axis in (0, 1))
+    return inside & (cv2.erode(view.known.astype(np.uint8), np.ones((3, 3), np.uint8))[y, x] > 0)
+
+
+def _span_unsure(draft: Draft) -> None:
+    """Give the unsure cells the surface that is spanned between the sure ones around them."""
+    if draft.unsure.any():
+        draft.settle(draft.unsure, 1 / span_membrane(1 / draft.coarse.depth, ~draft.unsure))
+
+
+def _take_painting(draft: Draft, painting: Painting, appearance: AppearanceMap) -> None:
+    """What was painted counts in the whole hole, also where other photos show something."""
+    _span_unsure(draft)
+    painted = appearance.to_mean(painting.picture, draft.index)
+    draft.fill(painting.mask & draft.view.hole & (draft.sources != PAINTED), painted, PAINTED)
+
+
+def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
+    """Close the cracks, then fill each gap by example from the surfaces around it."""
+    gaps = draft.gaps
+    cracks = draft.missing & ~grow_cells(gaps)
+    draft.fill(cracks, fill_telea(draft.picture, draft.missing), SMOOTH)
+    points = draft.view.camera.unproject(draft.view.camera.pixel_centres(), draft.depth)
+    count, parts = cv2.connectedComponents(draft.missing.astype(np.uint8))
+    for part in range(1, count):
+        gap = parts == part
+        middle = np.median(points[gap], 0)
+        apart = np.linalg.norm(points - middle, axis=-1)
+        near = apart < REACH * np.quantile(apart[gap], 0.9)
+        source = near & ~draft.missing & (draft.view.known | draft.view.hole)
+        rows, columns = (slice(max(0, a.min() - MIN_GAP), a.max() + 1 + MIN_GAP) for a in np.nonzero(gap | source))
+        box = (rows, columns)
+        colours = draft.picture.copy()
+        blank = draft.missing | ~(draft.view.known | draft.view.hole)
+        colours[box] = fill_by_example(draft.picture[box], blank[box], source[box], variety=variety, seed=seed)
+        draft.fill(gap, colours, EXAMPLE)
+
+
+def _carry_to_others(reference: Draft, drafts: Sequence[Draft]) -> None:
+    for other in drafts:
+        if other is not reference and (other.missing.any() or (reference.sources == PAINTED).any()):
+            _carry(reference, other)
+
+
+def _carry(reference: Draft, other: Draft) -> None:
+    """Give another view what it misses and the reference view has by now: surface, then colours.
+
+    What was painted replaces whatever the other view has in its hole, unless that was painted before.
+    """
+    points = reference.view.camera.unproject(reference.view.camera.pixel_centres(), reference.depth)
+    splat = sparse_depth(other.coarse.camera, points[reference.view.hole])
+    other.settle(other.unsure & np.isfinite(splat), splat)
+    settled = ~enlarge_cells(other.unsure, other.missing.shape)
+    xy, seen = correspondences(other.view.camera, other.depth, reference.view.camera, reference.depth)
+    sources = _trace_sources(reference, xy, seen)
+    replaced = (sources == PAINTED) & (other.sources != PAINTED) & other.view.hole
+    where = seen & settled & (other.missing | replaced)
+    colours = other.picture.copy()
+    colours[where] = sample_bilinear(reference.picture, xy[where])
+    other.fill(where, colours, sources)
+
+
+def _trace_sources(reference: Draft, xy: NDArray[np.float64], seen: Mask) -> Sources:
+    """Where the reference view has the colours at `xy` [h, w, 2] from; what it did not fill is its own photo's."""
+    x, y = (np.where(seen, xy[..., axis], 0).astype(np.int64) for axis in (0, 1))
+    found = reference.sources[y.clip(0, reference.missing.shape[0] - 1), x.clip(0, reference.missing.shape[1] - 1)]
+    return np.where(found > 0, found, FIRST_PHOTO + reference.index).astype(np.uint16)

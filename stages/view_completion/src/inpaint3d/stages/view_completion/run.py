@@ -1,0 +1,101 @@
+"""Every training view with its hole filled, before a field is fitted to them."""
+
+import torch
+
+from inpaint3d.contracts.artifacts import EffectPlan, MaskSet, PaintedViews, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.store import Artifact
+from inpaint3d.diffusion.loading import load_denoiser
+from inpaint3d.radiance.appearance import AppearanceMap
+from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.io import load_field
+from inpaint3d.scene.image_io import read_image, read_mask
+from inpaint3d.scene.masked_views import MaskedView, find_fillable, load_masked_scene
+from inpaint3d.scene.visibility import load_depth_maps, shrink_holes
+from inpaint3d.stages.view_completion.classical import complete_classically
+from inpaint3d.stages.view_completion.completion import Completion, write_completions
+from inpaint3d.stages.view_completion.config import Classical, Config, PhotoCompletion, PriorSamples
+from inpaint3d.stages.view_completion.photo_completion import Painting, complete_from_photos
+from inpaint3d.stages.view_completion.prior_samples import complete_by_samples
+
+Views = tuple[MaskedView, ...]
+
+
+def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
+    """The stage. Inputs and output are the ports of stage.yaml; nothing under a mask is ever looked at."""
+    torch.set_num_threads(ctx.threads)
+    scene = load_masked_scene(inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet))
+    field = inputs.one("radiance-field", RadianceFieldArtifact)
+    if not find_fillable(scene.train):
+        raise BadInputError(
+            "no training view shows both the hole and something known around it, so that nothing can be told of it; "
+            "author another mask"
+        )
+    references: list[str] = []
+    match config.method:
+        case PhotoCompletion() as method:
+            made, summary, references = complete_from_photos(
+                scene.train,
+                load_depth_maps(scene.train, field),
+                AppearanceMap(_load_appearance(field, inputs)),
+                method,
+                seed=ctx.seed,
+                paintings=load_paintings(inputs.optional("painted-views", PaintedViews), scene.train),
+                tick=ctx.progress,
+            )
+        case Classical():
+            ctx.progress(0, 1, "inpainting every view")
+            made, summary = complete_classically(scene.train), "every view on its own, by Telea's method"
+        case PriorSamples() as method:
+            made, summary = _sample(method, scene.train, field, inputs, ctx)
+    folder = outputs.folder("completed-views")
+    metadata = write_completions(
+        folder, made, method=config.method.name, summary=summary, reference_views=references
+    )
+    outputs.write("completed-views", metadata)
+    ctx.progress(1, 1, "completed")
+
+
+def _load_appearance(field: Artifact[RadianceFieldArtifact], inputs: Inputs) -> RadianceField | None:
+    """The field whose appearance codes tell exposures apart; None where the plan has exposure off."""
+    if not inputs.one("effect-plan", EffectPlan).metadata.active("exposure"):
+        return None
+    return load_field(field.path(field.metadata.weights), field.metadata.spec)
+
+
+def load_paintings(painted: Artifact[PaintedViews] | None, views: Views) -> dict[str, Painting]:
+    """What somebody painted, by view, in the artifact's order. BadInputError for a view that is not of this capture, or
+    a picture of another size.
+    """
+    if painted is None:
+        return {}
+    by_name = {v.name: v for v in views}
+    paintings: dict[str, Painting] = {}
+    for one in painted.metadata.views:
+        if (view := by_name.get(one.name)) is None:
+            raise BadInputError(
+                f"painted view {one.name} is no training view of this capture; there are {', '.join(by_name)}"
+            )
+        size = (view.camera.width, view.camera.height)
+        picture = read_image(painted.path(one.picture))
+        if picture.shape[1::-1] != size:
+            raise BadInputError(
+                f"painted view {one.name} is {picture.shape[1]}x{picture.shape[0]} but the view is "
+                f"{size[0]}x{size[1]}; paint on the picture that was exported"
+            )
+        paintings[one.name] = Painting(picture, read_mask(painted.path(one.mask), size))
+    return paintings
+
+
+def _sample(
+    method: PriorSamples, views: Views, field: Artifact[RadianceFieldArtifact], inputs: Inputs, ctx: Context
+) -> tuple[list[Completion], str]:
+    to_fill, words = views, "what is masked"
+    if method.hole == "unseen":
+        reduced = tuple(shrink_holes(views, load_depth_maps(views, field), method.min_supporting_views))
+        if find_fillable(reduced):
+            to_fill, words = reduced, f"what {method.min_supporting_views} other views do not show"
+    prior = load_denoiser(inputs, asker="method 'prior-samples'", prompt=method.prompt, device=ctx.device)
+    made = complete_by_samples(to_fill, prior, method, seed=ctx.seed, device=ctx.device, tick=ctx.progress)
+    return made, f"{words}, each view sampled from the prior on its own with one seed"

@@ -1,0 +1,152 @@
+"""Pictures of what lies behind the hole, on the synthetic room, whose picture without the ball is known."""
+
+import numpy as np
+import pytest
+
+from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.scene.reprojection import sample_bilinear
+from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+from inpaint3d.radiance.appearance import AppearanceMap
+from inpaint3d.stages.view_completion.config import PhotoCompletion
+from inpaint3d.stages.view_completion.photo_completion import Painting, complete_from_photos
+from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.diffusion.fill import fill_telea
+
+
+NO_CODES = AppearanceMap(None)
+THREE = PhotoCompletion(max_reference_views=3)
+
+
+@pytest.fixture(scope="module")
+def large() -> SyntheticScene:
+    return synthetic_scene(views=8, width=96, height=72)
+
+
+def views_of(room: SyntheticScene) -> list[MaskedView]:
+    return [
+        MaskedView(n, c, np.where(m[..., None], 0, i).astype(np.float32), m, ~m)
+        for n, c, i, m in zip(room.names, room.cameras, room.images, room.object_masks, strict=True)
+    ]
+
+
+def depths_of(room: SyntheticScene) -> dict[str, np.ndarray]:
+    return {n: d.astype(np.float32) for n, d in zip(room.names, room.empty_depths, strict=True)}
+
+
+def error(room: SyntheticScene, pictures: list[np.ndarray]) -> float:
+    apart = [np.abs(p - e)[m] for p, e, m in zip(pictures, room.empty_images, room.object_masks, strict=True)]
+    return float(np.concatenate(apart).mean())
+
+
+def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
+    """With the true depth behind the ball the pictures come far nearer to the empty room than a smooth filling."""
+    views = views_of(large)
+    made, words, references = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    pictures = [one.picture for one in made]
+    smooth = [fill_telea(v.image, v.hole) for v in views]
+    assert error(large, pictures) < 0.6 * error(large, smooth)
+    assert words.endswith(tuple(references))
+    assert set(references) <= set(large.names)
+    for view, picture in zip(views, pictures, strict=True):
+        np.testing.assert_array_equal(picture[view.known], view.image[view.known])
+
+
+def test_what_is_made_up_is_the_same_from_every_view(large: SyntheticScene) -> None:
+    """A point of the floor under the ball has one colour, however many views it is seen from."""
+    views = views_of(large)
+    made, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    pictures = [one.picture for one in made]
+    smooth = [fill_telea(v.image, v.hole) for v in views]
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    floor = np.stack([0.05 * np.cos(angles), 0.05 * np.sin(angles), np.full(24, -0.2)], -1)
+
+    def spread(shown: list[np.ndarray]) -> float:
+        colours = []
+        for view, picture in zip(views, shown, strict=True):
+            x, y = view.camera.project(floor)[0].astype(int).T
+            assert view.hole[y, x].all()
+            colours.append(picture[y, x])
+        return float(np.std(colours, 0).mean())
+
+    assert spread(pictures) < 0.5 * spread(smooth)
+
+
+def test_a_surface_that_no_photo_shows_is_spanned_and_carried(large: SyntheticScene) -> None:
+    """A field's depth says nothing where only masks look; the floor there is found from what lies around."""
+    views = views_of(large)
+    lost = {}
+    for name, camera, hole, depth in zip(
+        large.names, large.cameras, large.object_masks, large.empty_depths, strict=True
+    ):
+        points = camera.unproject(camera.pixel_centres(), depth)
+        under_the_ball = hole & (np.hypot(points[..., 0], points[..., 1]) < 0.2)
+        assert under_the_ball.any()
+        lost[name] = np.where(under_the_ball, 0.4 * depth, depth).astype(np.float32)
+    made, _, _ = complete_from_photos(views, lost, NO_CODES, THREE, seed=0)
+    for view, one, depth in zip(views, made, large.empty_depths, strict=True):
+        assert one.depth is not None
+        wrong = np.abs(lost[view.name] / depth - 1)[view.hole]
+        left = np.abs(one.depth / depth - 1)[view.hole]
+        assert left.mean() < 0.25 * wrong.mean()
+
+
+def test_known_elsewhere_or_made_up_is_told_apart(large: SyntheticScene) -> None:
+    """With depth on the ball itself no other photo knows what is masked: all of it has to be made up."""
+    views = views_of(large)
+    true, wrong = (
+        complete_from_photos(views, depths, NO_CODES, PhotoCompletion(max_reference_views=1), seed=0)[1]
+        for depths in (depths_of(large), dict(zip(large.names, large.depths.astype(np.float32), strict=True)))
+    )
+    share, none = (int(words.split("%")[0]) for words in (true, wrong))
+    assert share > 30
+    assert none < 15
+
+
+def test_every_filled_pixel_says_where_it_came_from(large: SyntheticScene) -> None:
+    """All of the hole and nothing else; a pixel that is a photo's has the colour that the photo has there."""
+    views = views_of(large)
+    made, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    for view, one in zip(views, made, strict=True):
+        np.testing.assert_array_equal(one.sources > 0, view.hole)
+    sources = np.concatenate([one.sources[one.sources > 0] for one in made])
+    photos = sources[sources >= FIRST_PHOTO]
+    assert len(photos) > 0.3 * len(sources)
+    assert photos.max() < FIRST_PHOTO + len(views)
+    assert (sources == SOURCE_CODES["example"]).any()
+    view, one, depth = views[0], made[0], large.empty_depths[0]
+    for index in np.unique(one.sources[one.sources >= FIRST_PHOTO]) - FIRST_PHOTO:
+        assert index != 0
+        y, x = np.nonzero(one.sources == FIRST_PHOTO + index)
+        points = view.camera.unproject(np.stack([x + 0.5, y + 0.5], -1), depth[y, x])
+        xy, _ = views[index].camera.project(points)
+        apart = np.abs(one.picture[y, x] - sample_bilinear(views[index].image, xy)).max(-1)
+        assert np.median(apart) < 0.02
+
+
+def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticScene) -> None:
+    """Where the painted view sees the surface, also over what other photos show; known pixels stay the photo's."""
+    views = views_of(large)
+    painted = np.broadcast_to(np.array([1.0, 0.0, 1.0], np.float32), views[0].image.shape)
+    everywhere = np.ones_like(views[0].hole)
+    made, words, _ = complete_from_photos(
+        views, depths_of(large), NO_CODES, THREE, seed=0, paintings={views[0].name: Painting(painted, everywhere)}
+    )
+    assert f"as painted in {views[0].name}" in words
+    assert (made[0].sources[views[0].hole] == SOURCE_CODES["painted"]).all()
+    for view, one in zip(views, made, strict=True):
+        np.testing.assert_array_equal(one.picture[view.known], view.image[view.known])
+        carried = one.sources == SOURCE_CODES["painted"]
+        np.testing.assert_allclose(one.picture[carried].mean(0), [1, 0, 1], atol=0.1)
+    share = np.mean([(one.sources == SOURCE_CODES["painted"])[view.hole].mean() for view, one in zip(views[1:], made[1:], strict=True)])
+    assert share > 0.3
+
+
+def test_of_two_paintings_of_one_place_the_first_stays(large: SyntheticScene) -> None:
+    views = views_of(large)
+    first, second = (np.broadcast_to(np.array(c, np.float32), views[0].image.shape) for c in ((1, 0, 1), (0, 1, 0)))
+    everywhere = np.ones_like(views[0].hole)
+    made, _, _ = complete_from_photos(
+        views, depths_of(large), NO_CODES, THREE, seed=0,
+        paintings={views[0].name: Painting(first, everywhere), views[1].name: Painting(second, everywhere)},
+    )  # fmt: skip
+    np.testing.assert_allclose(made[0].picture[views[0].hole].mean(0), [1, 0, 1], atol=1e-6)
