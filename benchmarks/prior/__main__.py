@@ -37,7 +37,7 @@ from torch import Tensor
 from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus
 from inpaint3d.contracts.store import artifact_in
 from inpaint3d.diffusion.io import load_prior
-from inpaint3d.diffusion.judging import hole_psnr, telea_fill, to_bytes
+from inpaint3d.diffusion.judging import fill_batch_telea, hole_psnr, to_bytes
 from inpaint3d.diffusion.masks import random_masks
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.samplers import inpaint
@@ -178,7 +178,7 @@ def fills(prior: InpaintingPrior, steps: int) -> dict[str, Fill]:
     return {
         "ours": ours,
         "mean": mean_fill,
-        "telea": telea_fill,
+        "telea": fill_batch_telea,
         "navier_stokes": each(lambda picture, hole: cv2.inpaint(picture, hole, 3, cv2.INPAINT_NS)),
         "patch": each(shift_map),
     }

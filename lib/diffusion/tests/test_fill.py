@@ -1,6 +1,7 @@
+import numpy as np
 import torch
 
-from inpaint3d.diffusion.fill import pyramid_fill
+from inpaint3d.diffusion.fill import fill_telea, pyramid_fill
 
 
 def _disc(size: int, radius: float) -> torch.Tensor:
@@ -34,3 +35,20 @@ def test_a_ramp_goes_on_inside_the_hole() -> None:
 
 def test_a_picture_that_is_all_hole_becomes_grey() -> None:
     assert torch.equal(pyramid_fill(torch.ones(1, 3, 16, 24), torch.ones(1, 1, 16, 24)), torch.zeros(1, 3, 16, 24))
+
+
+def test_telea_keeps_known_pixels_and_never_looks_under_the_mask() -> None:
+    image = np.random.default_rng(0).random((32, 40, 3), np.float32)
+    hole = np.zeros((32, 40), bool)
+    hole[10:20, 12:25] = True
+    filled = fill_telea(image, hole)
+    np.testing.assert_array_equal(filled[~hole], image[~hole])
+    np.testing.assert_array_equal(filled, fill_telea(np.where(hole[..., None], 1.0, image).astype(np.float32), hole))
+
+
+def test_telea_fills_a_flat_picture_flat_to_two_codes() -> None:
+    image = np.full((24, 24, 3), 0.3, np.float32)
+    hole = np.zeros((24, 24), bool)
+    hole[8:14, 8:14] = True
+    # Half a code from rounding the picture, the rest from OpenCV, which rounds down on the way in.
+    np.testing.assert_allclose(fill_telea(image, hole), 0.3, rtol=0, atol=2 / 255)

@@ -4,7 +4,7 @@ import pytest
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.stages.usd_export.fusion import Volume, depth_ahead, fuse
 from inpaint3d.stages.usd_export.guides import visual_hull
-from inpaint3d.stages.usd_export.mesh import Mesh, components, extract, without_floaters
+from inpaint3d.stages.usd_export.mesh import Mesh, extract, label_pieces, without_floaters
 from inpaint3d.stages.usd_export.surface_views import SurfaceView, bounds_of
 
 
@@ -89,7 +89,7 @@ def test_a_long_strip_is_one_piece():
     rng = np.random.default_rng(0)
     name = rng.permutation(1000)
     strip = name[np.stack([np.arange(998), np.arange(1, 999), np.arange(2, 1000)], 1)]
-    assert len(np.unique(components(1000, strip))) == 1
+    assert len(np.unique(label_pieces(1000, strip))) == 1
 
 
 def test_bounds_leave_out_what_is_beyond_reach():

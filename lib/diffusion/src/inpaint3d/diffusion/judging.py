@@ -1,12 +1,11 @@
 """Judging a prior on pictures whose holes are known: hole PSNR beside classical fills, and grids to look at."""
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from inpaint3d.diffusion.fill import pyramid_fill
+from inpaint3d.diffusion.fill import fill_telea, pyramid_fill
 from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
 from inpaint3d.diffusion.samplers import inpaint
 
@@ -17,13 +16,12 @@ def hole_psnr(filled: Image, truth: Image, mask: Mask) -> Float[Tensor, "b"]:
     return 10 * torch.log10(4 / squared.clamp(min=1e-10))
 
 
-def telea_fill(image: Image, mask: Mask, radius: float = 3) -> Image:
-    """OpenCV's fast-marching inpainting (Telea 2004), picture by picture, at 8 bits."""
-    filled = [
-        cv2.inpaint(to_bytes(picture), hole[0].byte().numpy(), radius, cv2.INPAINT_TELEA)
-        for picture, hole in zip(image, mask, strict=True)
-    ]
-    return torch.from_numpy(np.stack(filled)).permute(0, 3, 1, 2).float() / 127.5 - 1
+def fill_batch_telea(image: Image, mask: Mask, radius: float = 3.0) -> Image:
+    """`fill_telea`, picture by picture."""
+    shown = ((image + 1) / 2).permute(0, 2, 3, 1).contiguous().numpy()
+    holes = mask[:, 0].bool().numpy()
+    filled = [fill_telea(picture, hole, radius) for picture, hole in zip(shown, holes, strict=True)]
+    return torch.from_numpy(np.stack(filled)).permute(0, 3, 1, 2) * 2 - 1
 
 
 def mean_estimate(prior: InpaintingPrior, image: Image, mask: Mask, generator: torch.Generator) -> Image:
@@ -48,7 +46,7 @@ def fills(
         "sample": samples,
         "expectation": expected,
         "pyramid": pyramid_fill(image, mask),
-        "telea": telea_fill(image, mask),
+        "telea": fill_batch_telea(image, mask),
     }
 
 

@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask
+from inpaint3d.scene.morphology import grow_square
 from inpaint3d.scene.reprojection import reproject_mask, sample_bilinear, warp_image
 from inpaint3d.stages.evaluation.photos import Photo, apart
 
@@ -13,16 +14,7 @@ LATTICE = 4  # pixels between the places where sparse depth is interpolated
 
 def ring_around(mask: Mask, radius: int) -> Mask:
     """Pixels outside the mask [h, w] that lie at most `radius` rows and columns from it."""
-    height, width = mask.shape
-    padded = np.pad(mask, radius)
-    grown = np.zeros_like(mask)
-    # a square neighbourhood: first along the rows, then along the columns
-    across = np.zeros_like(padded)
-    for step in range(-radius, radius + 1):
-        across |= np.roll(padded, step, axis=1)
-    for step in range(2 * radius + 1):
-        grown |= across[step : step + height, radius : radius + width]
-    return grown & ~mask
+    return grow_square(mask, radius) & ~mask
 
 
 def mean_surround(image: Image, mask: Mask, radius: int) -> Image:

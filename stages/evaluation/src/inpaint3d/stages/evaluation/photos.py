@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,6 @@ from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
 from inpaint3d.scene.image_io import Image, Mask, read_mask
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +87,3 @@ def area_resized(values: NDArray[np.float32], size: tuple[int, int]) -> NDArray[
 def read_masks(masks: Artifact[MaskSet], views: Sequence[MaskView]) -> dict[str, Mask]:
     """The masks of some views of a mask-set, by the name of the view."""
     return {view.name: read_mask(masks.path(view.mask)) for view in views}
-
-
-def evenly_chosen(items: Sequence[T], count: int) -> list[T]:
-    """At most `count` items, spread evenly over the list; its ends are among them where there are two or more."""
-    if count >= len(items):
-        return list(items)
-    if count <= 1:
-        return [items[len(items) // 2]] if count == 1 else []
-    return [items[round(i * (len(items) - 1) / (count - 1))] for i in range(count)]

@@ -19,12 +19,12 @@ from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.methods import Method, load_methods, read_curve
 from inpaint3d.stages.evaluation.notes import weaknesses
 from inpaint3d.stages.evaluation.photos import (
     Photo,
-    evenly_chosen,
     exposed,
     load_photo,
     read_masks,
@@ -60,9 +60,9 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     photos = _captured(capture, masks, config.render_longest_side)
     truths = _truths(truth, masks, config)
     train = [p for p in photos if p.split == "train"]
-    test = evenly_chosen([p for p in photos if p.split == "test"], config.held_out_views)
+    test = choose_evenly([p for p in photos if p.split == "test"], config.held_out_views)
     # Statistics of the hole reuse the renders of held-out views where there are any.
-    shown = test or evenly_chosen(train, min(len(train), max(1, config.picture_views)))
+    shown = test or choose_evenly(train, min(len(train), max(1, config.picture_views)))
 
     whole = len({p.name for p in test + shown}) + config.neighbour_views + min(len(truths), config.picture_views)
     steps = len(truths) + len(methods) * whole + 1
@@ -72,7 +72,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         *against_truth(bench, truths),
         *held_out(bench, test, train, points.xyz),
         *hole_statistics(bench, shown),
-        *neighbouring_views(bench, evenly_chosen(shown, config.neighbour_views), photos),
+        *neighbouring_views(bench, choose_evenly(shown, config.neighbour_views), photos),
         *between_seeds(bench, shown),
         *sparse_points(bench, [v.camera for v in load_posed(capture)], photos, points),
         *(held_out_crops(prior.metadata) if prior else []),
@@ -82,8 +82,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     (folder / "pictures").mkdir()
     contact = _contact(bench, photos, capture, masks, folder)
     strips = [
-        *_strips(bench, evenly_chosen(truths, config.picture_views), folder, "truth"),
-        *_strips(bench, evenly_chosen(shown, config.picture_views), folder, "photo"),
+        *_strips(bench, choose_evenly(truths, config.picture_views), folder, "truth"),
+        *_strips(bench, choose_evenly(shown, config.picture_views), folder, "photo"),
     ]
     bench.scores.write(folder / "per_view.csv")
     ctx.non_finite.update(bench.non_finite)
@@ -131,7 +131,7 @@ def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config
         mask = view.mask() if mask is None else mask
         if mask is not None and mask.any():
             photos.append(load_photo(view, mask, config.render_longest_side))
-    return evenly_chosen(photos, config.truth_views)
+    return choose_evenly(photos, config.truth_views)
 
 
 def _contact(

@@ -17,13 +17,13 @@ from inpaint3d.contracts.artifacts.masks import (
 from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.scene.capture_io import View
+from inpaint3d.scene.morphology import close, fill_holes, grow, remove_specks
 from inpaint3d.scene.volumes import volume_mask
 from inpaint3d.stages.mask_authoring.authored import Authored
 from inpaint3d.stages.mask_authoring.carry import Carrying, carry
 from inpaint3d.stages.mask_authoring.cloud import lift, splat
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.hull import carve
-from inpaint3d.stages.mask_authoring.morphology import close, fill_holes, grow, without_specks
 from inpaint3d.stages.mask_authoring.requests import find_view, object_prompts, scribble_path
 from inpaint3d.stages.mask_authoring.scribble import draw, random_path
 from inpaint3d.stages.mask_authoring.segment import segment
@@ -98,7 +98,7 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
     masks = []
     for view, mask in zip(scene.depth_views, carried, strict=True):
         shown = splat(view, hull, config.depth_tolerance) | _enlarged(mask, view)
-        masks.append(_finished(without_specks(shown, SPECKS), dilate))
+        masks.append(_finished(remove_specks(shown, SPECKS), dilate))
     seeds = " and ".join(n for n, given in (("points", request.points), ("a box", request.box)) if given)
     refined = ", segmented again in each view" if config.refine else ""
     return Authored(
@@ -107,7 +107,7 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
         f"z-test{refined}, made consistent by a voxel hull",
         masks=masks,
         truth_masks=[
-            _finished(without_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
+            _finished(remove_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
         ],
     )
 

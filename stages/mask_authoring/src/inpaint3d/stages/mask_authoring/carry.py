@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.scene.morphology import close, fill_holes, grow, shrink
 from inpaint3d.stages.mask_authoring.cloud import Cloud, join, lift, near, splat, votes
-from inpaint3d.stages.mask_authoring.morphology import close, fill_holes, grow, shrink
 from inpaint3d.stages.mask_authoring.segment import (
     BACKGROUND,
     MAYBE_BACKGROUND,

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.stages.mask_authoring.morphology import grow
+from inpaint3d.scene.morphology import grow, grow_square
 from inpaint3d.stages.mask_authoring.views import DepthView
 
 Floats = NDArray[np.float64]
@@ -95,9 +95,9 @@ def splat(view: DepthView, cloud: Cloud, tolerance: float) -> Bools:
     side = np.clip(np.ceil(cloud.sizes[seen] * camera.fx / z[seen]).astype(int), 1, LARGEST_SPLAT)
     mask = np.zeros((camera.height, camera.width), bool)
     for pixels in np.unique(side):
-        layer = np.zeros(mask.shape, np.uint8)
-        layer[rows[side == pixels], columns[side == pixels]] = 1
-        mask |= cv2.dilate(layer, np.ones((2 * (pixels // 2) + 1,) * 2, np.uint8)).astype(bool)
+        layer = np.zeros_like(mask)
+        layer[rows[side == pixels], columns[side == pixels]] = True
+        mask |= grow_square(layer, int(pixels) // 2)
     return mask
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.scene.morphology import shrink
 from inpaint3d.stages.mask_authoring.cloud import Cloud, bounds, join, lift
-from inpaint3d.stages.mask_authoring.morphology import shrink
 from inpaint3d.stages.mask_authoring.views import DepthView
 
 Floats = NDArray[np.float64]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.scene.colour import to_bytes
 from inpaint3d.scene.image_io import Image
+from inpaint3d.scene.morphology import keep_parts_at
 from inpaint3d.stages.mask_authoring.views import DepthView
 
 Floats = NDArray[np.float64]
@@ -53,14 +54,14 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int) -> Bools:
     features = with_depth(view.image(), depth, middle_depth(view.depth_at(anchors)))
     if prompts.box is not None:
         trimap = _with_points(_box_trimap(shape, prompts.box), prompts)
-        return _holding(grabcut(features, trimap, rounds, seed), prompts.points)
+        return _keep_marked(grabcut(features, trimap, rounds, seed), prompts.points)
     reach = _reach_of(view, depth, prompts.points)
     masks, cut = [], []
     for share in REACHES:
         trimap = np.full(shape, MAYBE_BACKGROUND, np.uint8)
         trimap[reach <= share] = MAYBE_OBJECT
         trimap[reach > SURELY_OUT * share] = BACKGROUND
-        mask = _holding(grabcut(features, _with_points(trimap, prompts), rounds, seed), prompts.points)
+        mask = _keep_marked(grabcut(features, _with_points(trimap, prompts), rounds, seed), prompts.points)
         masks.append(mask)
         cut.append(float((reach[mask] > 0.95 * share).mean()) if mask.any() else 1.0)
     return masks[_stablest(masks, cut)]
@@ -177,11 +178,6 @@ def _box_trimap(shape: tuple[int, ...], box: tuple[float, float, float, float]) 
     return trimap
 
 
-def _holding(mask: Bools, points: Floats) -> Bools:
+def _keep_marked(mask: Bools, points: Floats) -> Bools:
     """The connected parts of a mask that hold one of the points (all parts where there are no points)."""
-    if not len(points):
-        return mask
-    _, labels = cv2.connectedComponents(mask.astype(np.uint8))
-    x, y = points.T.astype(int)
-    wanted = np.setdiff1d(labels[y, x], [0])
-    return np.isin(labels, wanted)
+    return keep_parts_at(mask, points.astype(int)) if len(points) else mask

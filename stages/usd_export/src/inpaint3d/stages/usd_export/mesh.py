@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from inpaint3d.stages.usd_export.fusion import Volume
 
@@ -70,22 +72,17 @@ def without_floaters(mesh: Mesh, smallest: float) -> Mesh:
     """Leave out connected pieces that hold less than the share `smallest` of all triangles."""
     if len(mesh.triangles) == 0:
         return mesh
-    piece = components(len(mesh.vertices), mesh.triangles)[mesh.triangles[:, 0]]
+    piece = label_pieces(len(mesh.vertices), mesh.triangles)[mesh.triangles[:, 0]]
     count = np.bincount(piece)
     return compact(mesh.vertices, mesh.triangles[count[piece] >= smallest * len(mesh.triangles)])
 
 
-def components(vertices: int, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A label for each vertex, equal within a connected piece: the smallest index in it."""
-    label = np.arange(vertices)
-    while True:
-        before = label.copy()
-        least = label[triangles].min(1)
-        for corner in range(3):
-            np.minimum.at(label, triangles[:, corner], least)
-        label = label[label]  # jump to the label's own label: long strips settle in few rounds
-        if (label == before).all():
-            return label
+def label_pieces(vertices: int, triangles: NDArray[np.int64]) -> NDArray[np.int32]:
+    """A number for each vertex, equal within a connected piece."""
+    a, b, c = triangles.T
+    first, second = np.concatenate([a, b]), np.concatenate([b, c])
+    edges = coo_array((np.ones(len(first), bool), (first, second)), shape=(vertices, vertices))
+    return connected_components(edges, directed=False)[1]
 
 
 def compact(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Mesh:

@@ -16,10 +16,11 @@ from inpaint3d.radiance.rendering import render_view
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import load_posed
 from inpaint3d.scene.image_io import read_mask
+from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.export import MaskVolume, meshed, write_scene
 from inpaint3d.stages.usd_export.layer import Content
-from inpaint3d.stages.usd_export.surface_views import SurfaceView, bounds_of, evenly_chosen, surface_view
+from inpaint3d.stages.usd_export.surface_views import SurfaceView, bounds_of, surface_view
 
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
@@ -31,7 +32,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if config.original:
         fields["original"] = inputs.one("original", RadianceFieldArtifact)
     views = load_posed(capture)
-    chosen = evenly_chosen(config.views, len(views))
+    chosen = choose_evenly(range(len(views)), config.views)
     steps = len(fields) * (len(chosen) + 2) + 2
 
     done = 0

@@ -52,13 +52,6 @@ def surface_view(
     return SurfaceView(camera.scaled(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
 
 
-def evenly_chosen(count: int, of: int) -> list[int]:
-    """At most `count` indices below `of`, spread evenly, both ends among them."""
-    if count >= of:
-        return list(range(of))
-    return [round(i * (of - 1) / (count - 1)) for i in range(count)]
-
-
 def bounds_of(views: Sequence[SurfaceView], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Corners of the box of all surfaces seen within `reach` of the origin, but for outliers; None without any."""
     points = []
