@@ -8,6 +8,7 @@ def merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for name, value in changes.items():
         before = merged.get(name)
-        same = isinstance(before, dict) and isinstance(value, dict) and value.get("name", before.get("name")) == before.get("name")
+        groups = isinstance(before, dict) and isinstance(value, dict)
+        same = groups and value.get("name", before.get("name")) == before.get("name")
         merged[name] = merge(before, value) if same else value
     return merged

@@ -19,7 +19,7 @@ from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import write_mask
-from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+from inpaint3d.scene.synthetic import SyntheticScene
 
 PRIOR = PriorSpec(size=16, width=8, multipliers=(1, 2), blocks=(1, 1), attention=(False, False))
 

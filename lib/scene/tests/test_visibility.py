@@ -1,8 +1,14 @@
 import numpy as np
+import pytest
 
-from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.scene.visibility import enlarge_cells, grow_cells, pool_any, shrink_holes
+
+
+@pytest.fixture(scope="module")
+def room() -> SyntheticScene:
+    return synthetic_scene(views=6)
 
 
 def views_of(room: SyntheticScene) -> list[MaskedView]:

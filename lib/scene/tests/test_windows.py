@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from inpaint3d.scene.windows import compute_window_side, draw_window, sum_boxes
+from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.synthetic import synthetic_scene
+from inpaint3d.scene.windows import choose_fixed_windows, compute_window_side, draw_window, sum_boxes
 
 
 def _hole(height: int = 90, width: int = 120) -> np.ndarray:
@@ -69,3 +71,21 @@ def test_pixels_outside_the_undistorted_picture_are_not_context() -> None:
         assert window is not None
         lefts.append(window.x)
     assert min(lefts) > 25
+
+
+def test_fixed_windows_cover_as_much_of_the_hole_as_any() -> None:
+    room = synthetic_scene(views=6)
+    views = [
+        MaskedView(n, c, i, m, ~m)
+        for n, c, i, m in zip(room.names, room.cameras, room.images, room.object_masks, strict=True)
+    ]
+    for index, window in enumerate(choose_fixed_windows(views, size=16, span=0.7, min_known=0.2)):
+        assert window is not None
+        rng = np.random.default_rng(index)
+        view = views[index]
+        drawn = [
+            draw_window(view.hole, view.known, index, size=16, span=0.7, min_known=0.2, rng=rng) for _ in range(20)
+        ]
+        shares = [w.sample(view.hole).mean() for w in drawn if w is not None]
+        # Sampling every other pixel of a window counts a hole's border one way or the other.
+        assert window.sample(view.hole).mean() >= max(shares) - 0.03

@@ -5,9 +5,9 @@ import torch
 
 from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
-from inpaint3d.scene.masked_views import MaskedView
 
 
 def views_of(room: SyntheticScene) -> list[MaskedView]:

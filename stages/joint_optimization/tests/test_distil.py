@@ -10,12 +10,15 @@ from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import render
+from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.synthetic import SyntheticScene
+from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide
-from inpaint3d.scene.windows import Window
-from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.stages.joint_optimization.schedule import TimestepRange
+from tests.guides import make_prior_guide
 
+TIMES = TimestepRange(0.3, 0.5, floored=False)
 WINDOW = Window(0, 8.0, 2.0, 2.0, 16)
 SPEC = FieldSpec(
     grid=GridSpec(levels=3, coarsest=4, finest=32, log2_table=10, channels=2),
@@ -51,7 +54,7 @@ def prior(prior_spec: PriorSpec) -> InpaintingPrior:
 
 @pytest.fixture(params=["sds", "nfsd", "sdi", "ism", "denoised-target"])
 def guide(request: pytest.FixtureRequest, prior: InpaintingPrior) -> PriorGuide:
-    return PriorGuide(prior, request.param, guidance=2.0, steps=2)
+    return make_prior_guide(request.param, prior, guidance=2.0, steps=2)
 
 
 @pytest.fixture
@@ -61,7 +64,12 @@ def view(room: SyntheticScene) -> MaskedView:
 
 
 def distilled(field: RadianceField, guide: PriorGuide, view: MaskedView, **changes: object) -> Distilled:
-    settings = {"timesteps": (0.3, 0.5), "specular_scale": 1.0, "block": 4096, "generator": generator()} | changes
+    settings = {
+        "timesteps": TimestepRange(0.3, 0.5, False),
+        "specular_scale": 1.0,
+        "block": 4096,
+        "generator": generator(),
+    } | changes
     return distil(field, guide, view, WINDOW, **settings)  # pyright: ignore[reportArgumentType]
 
 
@@ -74,7 +82,7 @@ def test_gradient_is_zero_outside_the_hole(guide: PriorGuide) -> None:
     """S4: the prior moves the hole alone."""
     patch, hole = torch.rand(16, 16, 3, generator=generator()), torch.zeros(16, 16, dtype=torch.bool)
     hole[5:9, 4:12] = True
-    gradient, t = guide.gradient(patch, hole, WINDOW, (0.3, 0.5), generator())
+    gradient, t = guide.gradient(patch, hole, WINDOW, TimestepRange(0.3, 0.5, floored=False), generator())
     assert 0.3 <= t <= 0.5
     assert (gradient[~hole] == 0).all()
     assert (gradient[hole] != 0).all()
@@ -84,7 +92,9 @@ def test_gradient_is_that_of_a_mean_over_pixels_of_a_picture_in_signed_range(pri
     """L8: x = 2 rgb - 1, divided by the number of patch pixels."""
     patch, hole = torch.rand(16, 16, 3, generator=generator()), torch.zeros(16, 16, dtype=torch.bool)
     hole[5:9, 4:12] = True
-    gradient, t = PriorGuide(prior, "sds", 3.0, 1).gradient(patch, hole, WINDOW, (0.4, 0.4), generator(5))
+    gradient, t = make_prior_guide("sds", prior, guidance=3.0).gradient(
+        patch, hole, WINDOW, TimestepRange(0.4, 0.4, False), generator(5)
+    )
     stream = generator(5)
     torch.rand((), generator=stream)
     x = (2 * patch - 1).permute(2, 0, 1)[None]
@@ -100,7 +110,9 @@ def test_draws_are_fresh_at_every_call(guide: PriorGuide) -> None:
     patch, hole = torch.rand(16, 16, 3, generator=generator()), torch.ones(16, 16, dtype=torch.bool)
     hole[0] = False
     stream = generator()
-    (first, t1), (second, t2) = (guide.gradient(patch, hole, WINDOW, (0.2, 0.8), stream) for _ in range(2))
+    (first, t1), (second, t2) = (
+        guide.gradient(patch, hole, WINDOW, TimestepRange(0.2, 0.8, floored=False), stream) for _ in range(2)
+    )
     assert t1 != t2
     assert not torch.equal(first, second)
 
@@ -122,7 +134,7 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
 ) -> None:
     """S4: d(surrogate)/d(field) is the answer, a constant, times d(patch)/d(field); no gradient enters the prior."""
     assert all(p.requires_grad for p in prior.parameters())
-    result = distilled(field, PriorGuide(prior, "sds", 2.0, 1), view)
+    result = distilled(field, make_prior_guide("sds", prior, guidance=2.0), view)
     result.surrogate.backward()
     assert all(p.grad is None for p in prior.parameters())
     got = [torch.zeros(()) if p.grad is None else p.grad for p in field.parameters()]
@@ -138,7 +150,7 @@ def test_the_field_gets_the_prior_s_answer_and_the_prior_gets_nothing(
     rgb = render(field, inside, generator=jitter, glo="mean", background=grounds[0], near_gradient=False).rgb
     patch[hole] = rgb.detach()
     patch[~hole] = render(field, outside, glo="mean", background=grounds[1]).rgb.detach()
-    answer, _ = PriorGuide(prior, "sds", 2.0, 1).gradient(patch, hole, WINDOW, (0.3, 0.5), stream)
+    answer, _ = make_prior_guide("sds", prior, guidance=2.0).gradient(patch, hole, WINDOW, TIMES, stream)
     by_hand = torch.autograd.grad(rgb, list(field.parameters()), answer[hole], allow_unused=True)
     for a, b in zip(got, by_hand, strict=True):
         torch.testing.assert_close(a, torch.zeros_like(a) if b is None else b)

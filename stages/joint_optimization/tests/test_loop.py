@@ -13,20 +13,29 @@ import yaml
 from inpaint3d.contracts.context import Inputs
 from inpaint3d.contracts.stage import load_stage
 from inpaint3d.contracts.store import Store
+from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
+from inpaint3d.scene.synthetic import SyntheticScene
+from inpaint3d.scene.windows import Window
+from inpaint3d.stages.joint_optimization.centre_views import choose_centre_views
 from inpaint3d.stages.joint_optimization.config import Config
-from inpaint3d.stages.joint_optimization.guidance import PriorGuide
-from inpaint3d.stages.joint_optimization.loop import Problem
+from inpaint3d.stages.joint_optimization.guidance import PriorGuide, Timesteps
+from inpaint3d.stages.joint_optimization.loop import Problem, trace_sparse_points
 from inpaint3d.stages.joint_optimization.parallel import Ranks
-from inpaint3d.scene.windows import Window, centre_views
 from inpaint3d.stages.joint_optimization.run import pose
-from inpaint3d.scene.masked_views import find_fillable
+from tests.parameters import merge
 
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
 # Four steps of reconstruction first; everything that anneals has its own length.
-PARAMETERS = TINY | {
-    "steps": 40, "schedule_steps": 80, "warmup_steps": 4, "weight_warmup": 10, "centre_steps": 6, "centre_views": 1,
-    "t_min": 0.2, "t_width": 0.2, "diffuse_start": True,
-}  # fmt: skip
+PARAMETERS = merge(
+    TINY,
+    {
+        "steps": 40,
+        "estimator": {
+            "schedule_steps": 80, "warmup_steps": 4, "weight_warmup": 10, "centre_steps": 6, "centre_views": 1,
+            "t_min": 0.2, "t_width": 0.2, "diffuse_start": True,
+        },
+    },
+)  # fmt: skip
 Make = Callable[..., Problem]
 
 
@@ -38,7 +47,7 @@ class Noting(PriorGuide):
         patch: torch.Tensor,
         hole: torch.Tensor,
         window: Window,
-        timesteps: tuple[float, float],
+        timesteps: Timesteps,
         generator: torch.Generator,
     ) -> tuple[torch.Tensor, float]:
         self.asked = window
@@ -48,11 +57,11 @@ class Noting(PriorGuide):
 @pytest.fixture
 def posed(store: Store, inputs: Callable[..., dict[str, Any]]) -> Make:
     def make(**parameters: Any) -> Problem:
-        config = Config.model_validate(PARAMETERS | parameters)
+        config = Config.model_validate(merge(PARAMETERS, parameters))
         spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
         problem, _ = pose(config, Inputs(store, spec, inputs()), 0, "cpu")
         assert isinstance(problem.guide, PriorGuide)
-        return replace(problem, guide=Noting(problem.guide.prior, "sds", 1.0, 1))
+        return replace(problem, guide=Noting(problem.guide.prior, problem.guide.estimate))
 
     return make
 
@@ -102,7 +111,7 @@ def test_noise_levels_and_specular_colour_follow_the_global_step(posed: Make) ->
         assert found["t_low"] == pytest.approx(found["t_high"] - 0.2)
         assert found["t_low"] <= found["t"] <= found["t_high"]
         assert found["specular_scale"] == pytest.approx(step / 40)
-    floored = figures(posed(schedule_steps=40), 39)
+    floored = figures(posed(estimator={"schedule_steps": 40}), 39)
     assert (floored["t_low"], floored["t_high"], floored["t_floored"]) == (0.02, 0.2, 1.0)
 
 
@@ -118,7 +127,23 @@ def test_a_step_depends_on_its_seed_step_and_rank_alone(posed: Make) -> None:
 
 def test_a_field_that_is_carried_over_learns_at_a_share_of_the_rate(posed: Make) -> None:
     """N7 from nothing: 1e-2 at the end of the warm-up, 1e-3 at the end, half of that at twice as many steps."""
-    problem = posed(learning_rate_warmup=5, learning_rate_steps=20, carried_rate=0.3)
+    problem = posed(optimizer={"learning_rate_warmup": 5, "learning_rate_steps": 20, "warm_start_lr_scale": 0.3})
     rates = [replace(problem, fresh=True).rate(step) for step in (0, 20, 40)]
     assert rates == pytest.approx([2e-3, 1e-3, 0.5e-3])
     assert [replace(problem, fresh=False).rate(step) for step in (0, 20, 40)] == pytest.approx([0.3 * r for r in rates])
+
+
+def test_sight_lines_are_those_of_the_views_to_fit(room: SyntheticScene) -> None:
+    shape = room.object_masks[0].shape
+    views = [
+        MaskedView(name, camera, np.zeros((*shape, 3), np.float32), np.zeros(shape, bool), np.ones(shape, bool))
+        for name, camera in zip(room.names, room.cameras, strict=True)
+    ]
+    scene = MaskedScene(tuple(views[1:]), (views[0],), room.points, tuple(room.names))
+    sighted = trace_sparse_points(scene, "cpu")
+    assert sighted is not None
+    assert len(sighted) == (room.points.track_frame != 0).sum() > 0
+    away = np.linalg.norm(sighted.rays.origins.numpy() - room.cameras[0].centre, axis=1)
+    assert away.min() > 1e-3
+    none = room.points.select(np.zeros(len(room.points), bool))
+    assert trace_sparse_points(MaskedScene(tuple(views[:1]), tuple(views[1:]), none, scene.order), "cpu") is None

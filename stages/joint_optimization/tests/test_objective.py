@@ -21,7 +21,7 @@ SPEC = FieldSpec(
     proposal_samples=(8,), samples=8, density_width=8, bottleneck=0, view_layers=0,
     contraction=False, bound=2.0, far=5.0,
 )  # fmt: skip
-CONFIG = Config(near_gradient=True)
+CONFIG = Config.model_validate({"optimizer": {"near_gradient": True}})
 KNOWN, MASKED, PATCHES = 30, 10, (2, 4, 4)
 
 
@@ -87,10 +87,10 @@ def test_rays_of_the_distilled_hole_count_among_the_regularised(field: RadianceF
 
 def test_the_papers_loss_weights_are_the_default() -> None:
     """L3."""
-    config = Config()
-    assert (config.reconstruction_weight, config.interlevel_weight) == (1.0, 1.0)
-    assert (config.distortion_weight, config.depth_weight) == (0.005, 1e-4)
-    assert config.depth_patches == 4
+    losses = Config().losses
+    assert (losses.reconstruction_weight, losses.interlevel_weight) == (1.0, 1.0)
+    assert (losses.distortion_weight, losses.depth_weight) == (0.005, 1e-4)
+    assert losses.depth_patches == 4
 
 
 def test_gradient_norms_are_those_of_each_term_alone(field: RadianceField, batch: Batch) -> None:

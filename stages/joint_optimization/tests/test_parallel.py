@@ -41,7 +41,7 @@ def test_two_ranks_step_along_the_mean_of_their_gradients(store: Store, inputs: 
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
     problem, _ = pose(config, Inputs(store, spec, wired), 0, "cpu")
     field, before = problem.field, [p.detach().clone() for p in problem.field.parameters()]
-    optimizer = Adam(field, hash_decay=config.hash_decay_weight)
+    optimizer = Adam(field, hash_decay=config.losses.hash_decay_weight)
     for step in range(config.steps):
         for parameter in field.parameters():
             parameter.grad = None
@@ -51,7 +51,9 @@ def test_two_ranks_step_along_the_mean_of_their_gradients(store: Store, inputs: 
             (torch.stack(list(terms.values())).sum() / 2).backward()  # gradients add up
             patches.append(figures.get("t"))
         assert step < 2 or patches[0] != patches[1], "each rank has a patch of its own"
-        rate = learning_rate(step, initial=1e-2, final=1e-3, steps=config.steps, warmup=config.learning_rate_warmup)
+        rate = learning_rate(
+            step, initial=1e-2, final=1e-3, steps=config.steps, warmup=config.optimizer.learning_rate_warmup
+        )
         optimizer.step(rate)
     for name, parameter in field.named_parameters():
         torch.testing.assert_close(got.get_parameter(name), parameter)

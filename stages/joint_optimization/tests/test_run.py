@@ -33,8 +33,8 @@ TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
 Wired = Callable[..., dict[str, Any]]
 
 
-def optimised(store: Store, inputs: dict[str, Any], **parameters: Any) -> Artifact[RadianceFieldArtifact]:
-    invocation = Invocation(inputs=inputs, parameters=TINY | parameters, threads=1)
+def optimise(store: Store, inputs: dict[str, Any], **parameters: Any) -> Artifact[RadianceFieldArtifact]:
+    invocation = Invocation(inputs=inputs, parameters=merge(TINY, parameters), threads=1)
     record = execute(MODULE, store, invocation, io.StringIO())
     return store.open(record.outputs["radiance-field"], RadianceFieldArtifact)
 
@@ -53,19 +53,19 @@ def test_nothing_under_the_mask_reaches_the_field(
     marked = np.where(room.object_masks[..., None], np.array([1.0, 0.0, 1.0], np.float32), room.images)
     assert (marked != room.images).any()
     # Pictures are carried by the depth of a field that saw the known pixels alone.
-    start = {"initial-field": optimised(store, inputs(), estimator="none").digest} if estimator == "reference" else {}
-    clean = optimised(store, inputs() | start, **few)
-    marker = optimised(store, inputs(marked) | start, **few)
+    start = {"initial-field": optimise(store, inputs(), estimator="none").digest} if estimator == "reference" else {}
+    clean = optimise(store, inputs() | start, **few)
+    marker = optimise(store, inputs(marked) | start, **few)
     assert clean.digest == marker.digest
     # Something outside the mask does reach it: the test can see a difference.
     other = np.where(room.object_masks[..., None], room.images, 1 - room.images)
-    assert optimised(store, inputs(other) | start, **few).digest != clean.digest
+    assert optimise(store, inputs(other) | start, **few).digest != clean.digest
 
 
 def test_reconstruction_learns_what_is_known(store: Store, inputs: Wired, room: SyntheticScene) -> None:
     """It beats the mean colour on the known pixels of the view that it was not fitted to."""
     finer = TINY["architecture"] | {"levels": 5, "finest": 96, "log2_table": 14, "samples": 16}
-    result = optimised(store, inputs(), estimator="none", steps=250, rays=512, architecture=finer)
+    result = optimise(store, inputs(), estimator="none", steps=250, rays=512, architecture=finer)
     mean = room.images[~room.object_masks].mean(0)
     known = ~room.object_masks[2]
     baseline = psnr(np.broadcast_to(mean, room.images[2].shape), room.images[2], known)
@@ -76,7 +76,7 @@ def test_reconstruction_learns_what_is_known(store: Store, inputs: Wired, room: 
 
 
 def test_the_learning_curve_and_the_terms_are_in_the_artifact(store: Store, inputs: Wired) -> None:
-    result = optimised(store, inputs())
+    result = optimise(store, inputs())
     curve = rows(result.path("learning_curve.csv"))
     assert [int(r["step"]) for r in curve] == [4, 8, 12]
     assert all(float(r["psnr"]) > 0 for r in curve)
@@ -93,7 +93,7 @@ def test_the_learning_curve_and_the_terms_are_in_the_artifact(store: Store, inpu
 
 
 def test_the_push_of_the_prior_is_logged_where_not_every_step_distils(store: Store, inputs: Wired) -> None:
-    result = optimised(store, inputs(), distill_every=2, warmup_steps=0, steps=9)
+    result = optimise(store, inputs(), distill_every=2, warmup_steps=0, steps=9)
     measured = [r["distillation_over_reconstruction"] for r in rows(result.path("terms.csv"))]
     assert len(measured) == 2
     assert all(measured)
@@ -102,7 +102,7 @@ def test_the_push_of_the_prior_is_logged_where_not_every_step_distils(store: Sto
 def test_without_a_prior_no_distillation_is_logged(store: Store, inputs: Wired) -> None:
     wired = inputs()
     del wired["diffusion-prior"]
-    result = optimised(store, wired, estimator="none")
+    result = optimise(store, wired, estimator="none")
     assert result.metadata.label == "masked-reconstruction"
     assert {r["gradient_distillation"] for r in rows(result.path("terms.csv"))} == {""}
     assert result.metadata.decisions["diffuse-only-start"] == "off: no prior is used"
@@ -112,14 +112,14 @@ def test_an_estimator_without_a_prior_is_a_configuration_error(store: Store, inp
     wired = inputs()
     del wired["diffusion-prior"]
     with pytest.raises(ConfigurationError, match="set estimator to one of none, classical, features, reference"):
-        optimised(store, wired, estimator="sds")
+        optimise(store, wired, estimator="sds")
 
 
 def test_a_reference_needs_the_depth_of_a_field(store: Store, inputs: Wired) -> None:
     with pytest.raises(ConfigurationError, match="wire one to the input initial-field"):
-        optimised(store, inputs(), estimator="reference")
-    first = optimised(store, inputs(), estimator="none")
-    result = optimised(store, inputs() | {"initial-field": first.digest}, estimator="reference", steps=3)
+        optimise(store, inputs(), estimator="reference")
+    first = optimise(store, inputs(), estimator="none")
+    result = optimise(store, inputs() | {"initial-field": first.digest}, estimator="reference", steps=3)
     assert "of what is masked as other photos show it" in result.metadata.decisions["hole"]
     assert result.metadata.decisions["cost"] == "no UNet evaluation"
 
@@ -145,54 +145,54 @@ def test_a_prior_is_asked_in_the_runtime_that_it_names_unless_a_copy_of_it_learn
 def test_a_view_without_mask_is_bad_input(store: Store, inputs: Wired) -> None:
     wired = inputs(masked=5)
     with pytest.raises(BadInputError, match="view_005"):
-        optimised(store, wired)
+        optimise(store, wired)
 
 
 def test_stopping_early_shows_in_no_step_before(store: Store, inputs: Wired) -> None:
     """S11: the schedules run over S steps, however many of them are done; only windows and weights may end earlier."""
     fixed = {"schedule_steps": 24, "learning_rate_steps": 24, "span_last": 0.75, "terms_every": 1, "t_min": 0.2}
-    early, late = (optimised(store, inputs(), steps=steps, **fixed) for steps in (4, 8))
+    early, late = (optimise(store, inputs(), steps=steps, **fixed) for steps in (4, 8))
     first, second = (rows(artifact.path("terms.csv")) for artifact in (early, late))
     assert len(first) == 4
     assert first == second[:4]
     # Counted over its own steps, a short run would anneal faster: the row would not be the paper's.
-    own = optimised(store, inputs(), **(fixed | {"schedule_steps": None, "steps": 4}))
+    own = optimise(store, inputs(), **(fixed | {"schedule_steps": None, "steps": 4}))
     assert rows(own.path("terms.csv"))[3]["t_high"] != first[3]["t_high"]
 
 
 def test_the_cost_of_the_estimator_is_in_the_artifact(store: Store, inputs: Wired) -> None:
-    result = optimised(store, inputs(), steps=3, estimator="ism", guidance=2.0, denoise_steps=3)
+    result = optimise(store, inputs(), steps=3, estimator="ism", guidance=2.0, denoise_steps=3)
     assert result.metadata.decisions["cost"] == "6 UNet evaluations a distilled step"
 
 
 def test_an_initial_field_goes_on_where_it_was(store: Store, inputs: Wired) -> None:
     """Its architecture is kept, and distillation starts at once (S7)."""
-    first = optimised(store, inputs(), estimator="none")
-    second = optimised(
+    first = optimise(store, inputs(), estimator="none")
+    second = optimise(
         store, inputs() | {"initial-field": first.digest}, steps=3, terms_every=1, architecture={"levels": 2}
     )
     assert second.metadata.spec == first.metadata.spec
     assert [r["t"] != "" for r in rows(second.path("terms.csv"))] == [True, True, True]
     assert "hole" in second.metadata.decisions
-    whole = optimised(store, inputs() | {"initial-field": first.digest}, steps=3, hole="as-masked")
+    whole = optimise(store, inputs() | {"initial-field": first.digest}, steps=3, hole="as-masked")
     assert "hole" not in whole.metadata.decisions
-    without = optimised(store, inputs() | {"initial-field": first.digest}, estimator="none", steps=3)
+    without = optimise(store, inputs() | {"initial-field": first.digest}, estimator="none", steps=3)
     assert without.metadata.label == "continued-reconstruction"
 
 
 def test_a_fresh_start_forgets_the_initial_field(store: Store, inputs: Wired) -> None:
     """As in the paper: one optimisation from nothing."""
-    first = optimised(store, inputs(), estimator="none")
-    fresh = optimised(store, inputs() | {"initial-field": first.digest}, start="fresh")
-    assert fresh.digest == optimised(store, inputs()).digest
+    first = optimise(store, inputs(), estimator="none")
+    fresh = optimise(store, inputs() | {"initial-field": first.digest}, start="fresh")
+    assert fresh.digest == optimise(store, inputs()).digest
 
 
 def test_effects_that_are_off_are_absent(store: Store, inputs: Wired) -> None:
-    flat = optimised(store, inputs(plan=()), steps=2)
+    flat = optimise(store, inputs(plan=()), steps=2)
     assert flat.metadata.spec.view_layers == 0
     assert not flat.metadata.spec.contraction
     assert flat.metadata.decisions["diffuse-only-start"] == "off: the field has no view-dependent colour"
-    full = optimised(store, inputs(plan=("contraction", "exposure", "view-dependence")), steps=2)
+    full = optimise(store, inputs(plan=("contraction", "exposure", "view-dependence")), steps=2)
     assert full.metadata.spec.contraction
     assert full.metadata.spec.glo_views == 5
     assert full.metadata.decisions["diffuse-only-start"].startswith("on: ")
@@ -227,7 +227,7 @@ def test_stopped_and_resumed_is_the_run_without_the_stop(
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
     config, wired = Config.model_validate(TINY | parameters), inputs()
     if config.estimator == "reference":
-        wired["initial-field"] = optimised(store, wired, estimator="none").digest
+        wired["initial-field"] = optimise(store, wired, estimator="none").digest
 
     def artifact(work: Path, *stops: int | None) -> str:
         for stop in stops:

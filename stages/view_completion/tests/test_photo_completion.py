@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.diffusion.fill import fill_telea
+from inpaint3d.radiance.appearance import AppearanceMap
+from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
-from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.photo_completion import Painting, complete_from_photos
-from inpaint3d.scene.masked_views import MaskedView
-from inpaint3d.diffusion.fill import fill_telea
-
 
 NO_CODES = AppearanceMap(None)
 THREE = PhotoCompletion(max_reference_views=3)
@@ -137,7 +136,8 @@ def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticSc
         np.testing.assert_array_equal(one.picture[view.known], view.image[view.known])
         carried = one.sources == SOURCE_CODES["painted"]
         np.testing.assert_allclose(one.picture[carried].mean(0), [1, 0, 1], atol=0.1)
-    share = np.mean([(one.sources == SOURCE_CODES["painted"])[view.hole].mean() for view, one in zip(views[1:], made[1:], strict=True)])
+    others = list(zip(views[1:], made[1:], strict=True))
+    share = np.mean([(one.sources == SOURCE_CODES["painted"])[view.hole].mean() for view, one in others])
     assert share > 0.3
 
 

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import CompletedViews, FieldSpec, GridSpec, PaintedView, PaintedViews, RadianceFieldArtifact
+from inpaint3d.contracts.artifacts import (
+    CompletedViews,
+    FieldSpec,
+    GridSpec,
+    PaintedView,
+    PaintedViews,
+    RadianceFieldArtifact,
+)
 from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.model import Digest
@@ -21,7 +28,9 @@ from tests.room_artifacts import put_masks, put_plan, put_posed, put_prior
 
 MODULE = "inpaint3d.stages.view_completion"
 GRID = GridSpec(levels=1, coarsest=4, finest=4, log2_table=6, channels=1)
-SPEC = FieldSpec(grid=GRID, proposal_grid=GRID, proposal_samples=(2,), samples=2, density_width=4, bottleneck=3, view_layers=0)
+SPEC = FieldSpec(
+    grid=GRID, proposal_grid=GRID, proposal_samples=(2,), samples=2, density_width=4, bottleneck=3, view_layers=0
+)
 METHODS = ["photo-completion", "classical", {"name": "prior-samples", "sample_steps": 2}]
 
 

@@ -13,7 +13,7 @@ from inpaint3d.diffusion.prior import InpaintingPrior
 
 
 def load_denoiser(inputs: Inputs, *, asker: str, prompt: str, device: str, trainable: bool = False) -> Denoiser:
-    """The diffusers pipeline at the port diffusers-pipeline, where one is wired, else the trained one at diffusion-prior.
+    """The prior at the port diffusers-pipeline, where one is wired, else the trained one at diffusion-prior.
 
     asker: who asks, for errors. prompt: what a pipeline that takes text is told. trainable: a copy of it learns, which
     needs torch. Raises ConfigurationError where neither is wired, BadInputError for a pipeline that cannot be asked.

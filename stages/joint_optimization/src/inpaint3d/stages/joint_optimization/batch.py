@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.rays import CameraStack, Rays, joined
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.masked_views import MaskedView
 
@@ -48,8 +48,9 @@ class Filled:
 class RayBank:
     """Draws batches. Random rays are uniform over all existing pixels of all views, as in the paper.
 
-    filled: what was made up; of each batch the share `filled_share` shows it (None: as many as its pixels are among those
-    with a colour), in place of masked rays that nothing is known of. sight_lines: of sparse points by these views; as many rays go to the surfaces that were made up.
+    filled: what was made up; of each batch the share `filled_share` shows it (None: its share of the pixels that have a
+    colour), in place of masked rays that nothing is known of. sight_lines: of sparse points by these views; as many
+    rays go to the surfaces that were made up.
     """
 
     def __init__(

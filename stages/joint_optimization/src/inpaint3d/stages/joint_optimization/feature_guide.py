@@ -56,9 +56,7 @@ class FeatureGuide(Stateless):
     def _cut_reference(self, index: int, window: Window, patch: Tensor, rng: np.random.Generator) -> Cells:
         view = self._views[index]
         span = window.spacing * window.size / min(view.hole.shape)
-        found = draw_window(
-            view.hole, view.known, index, size=self.size, span=span, min_known=self._min_known, rng=rng
-        )
+        found = draw_window(view.hole, view.known, index, size=self.size, span=span, min_known=self._min_known, rng=rng)
         if found is None:
             raise ValueError(f"view {view.name} shows no hole to look around")
         image = torch.from_numpy(np.ascontiguousarray(found.sample(view.image))).to(patch)

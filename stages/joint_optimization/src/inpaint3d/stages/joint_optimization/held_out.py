@@ -9,13 +9,13 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.training import psnr
-from inpaint3d.stages.joint_optimization.scene import SceneView
+from inpaint3d.scene.masked_views import MaskedView
 
 
 class HeldOut:
     """A fixed random choice of known pixels of each test view: whole views would cost more than the steps between."""
 
-    def __init__(self, views: Sequence[SceneView], pixels: int, device: str) -> None:
+    def __init__(self, views: Sequence[MaskedView], pixels: int, device: str) -> None:
         rng = np.random.default_rng(0)
         self._views: list[tuple[Rays, np.ndarray]] = []
         for view in views:

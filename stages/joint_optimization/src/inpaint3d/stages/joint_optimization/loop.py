@@ -13,14 +13,14 @@ from inpaint3d.contracts.errors import BadInputError, InterruptedRun
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.optim import Adam, learning_rate
+from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.training import descend, proposal_anneal
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
 from inpaint3d.scene.windows import Window, draw_window
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
-from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.centre_views import choose_centre_views
+from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
 from inpaint3d.stages.joint_optimization.estimators.base import Guided
@@ -210,9 +210,7 @@ def choose_window(
     chosen = candidates[int(rng.integers(len(candidates)))]
     view = views[chosen]
     window = (
-        draw_window(
-            view.hole, view.known, chosen, size=guide.size, span=span, min_known=estimator.min_known, rng=rng
-        )
+        draw_window(view.hole, view.known, chosen, size=guide.size, span=span, min_known=estimator.min_known, rng=rng)
         if guide.windows is None
         else guide.windows[chosen]
     )

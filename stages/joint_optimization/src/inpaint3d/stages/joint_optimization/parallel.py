@@ -60,13 +60,11 @@ class Ranks:
         """Give every rank the first one's file, or none where it has none: other machines do not see its folder."""
         if self.world_size == 1:
             return
-        first = self.rank == 0
+        first, device = self.rank == 0, _device_to_send()
         kept = np.fromfile(file, np.uint8) if first and file.exists() else np.empty(0, np.uint8)
-        size = torch.tensor([kept.size], device=_device_to_send())
+        size = torch.tensor([kept.size], device=device)
         dist.broadcast(size, src=0)
-        data = (
-            torch.from_numpy(kept).to(_device_to_send()) if first else torch.empty(int(size), dtype=torch.uint8, device=_device_to_send())
-        )
+        data = torch.from_numpy(kept).to(device) if first else torch.empty(int(size), dtype=torch.uint8, device=device)
         if data.numel():
             dist.broadcast(data, src=0)
         if not first:

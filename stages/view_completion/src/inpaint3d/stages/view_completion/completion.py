@@ -16,8 +16,8 @@ from inpaint3d.scene.image_io import write_codes, write_exr, write_png
 class Completion:
     """picture: sRGB-encoded float32 [h, w, 3] in the view's own exposure, the photo's own where it is known.
 
-    sources: uint16 [h, w], where each filled pixel came from (`CompletedView.sources`). depth: z along the axis [h', w']
-    of every cell of the depth map, scene units; None where the method makes no surface.
+    sources: uint16 [h, w], where each filled pixel came from (`CompletedView.sources`). depth: z along the axis of
+    every cell [h', w'] of the depth map, scene units; None where the method makes no surface.
     """
 
     name: str
@@ -45,7 +45,9 @@ def _write_completion(folder: Path, one: Completion) -> CompletedView:
     write_codes(folder / sources, one.sources)
     if one.depth is not None:
         write_exr(folder / f"depth/{one.name}.exr", {"depth.Z": one.depth})
-    return CompletedView(name=one.name, picture=picture, sources=sources, depth=depth, shares=share_sources(one.sources))
+    return CompletedView(
+        name=one.name, picture=picture, sources=sources, depth=depth, shares=share_sources(one.sources)
+    )
 
 
 def share_sources(sources: NDArray[np.uint16]) -> dict[str, float]:

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inpaint3d.scene.image_io import Mask
 from inpaint3d.diffusion.fill import fill_telea
+from inpaint3d.scene.image_io import Mask
 from inpaint3d.stages.view_completion.membrane import span_membrane
 
 PATCH = 7
@@ -67,7 +67,9 @@ def copy_patches(
     generator = torch.Generator().manual_seed(seed)
     known = source & ~hole
     levels = 1
-    while np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(known, _level_size(hole, levels)).sum() > MIN_SOURCE:
+    while (
+        np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(known, _level_size(hole, levels)).sum() > MIN_SOURCE
+    ):
         levels += 1
     shown = np.where(hole[..., None], 0, image), GRADIENT_WEIGHT * _mean_gradients(image, ~hole)
     made: tuple[Picture, Origins] | None = None
@@ -76,7 +78,9 @@ def copy_patches(
         clear = _average_cells(~hole, size)
         means = np.concatenate([_average_cells(part, size) for part in shown], -1)
         picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None])
-        patches = Patches(torch.from_numpy(clear < FULL_COVER), torch.from_numpy(_average_cells(known, size) > FULL_COVER))
+        patches = Patches(
+            torch.from_numpy(clear < FULL_COVER), torch.from_numpy(_average_cells(known, size) > FULL_COVER)
+        )
         if len(patches.examples) == 0:
             continue
         everywhere = made is None or level >= levels - EXHAUSTIVE_LEVELS
@@ -213,7 +217,9 @@ class Patches:
         """
         for turn in range(ROUNDS + 1):
             best, cost = (
-                self.find_nearest(picture, self.touching) if everywhere else self.find_nearby(picture, origins, generator)
+                self.find_nearest(picture, self.touching)
+                if everywhere
+                else self.find_nearby(picture, origins, generator)
             )
             origins = self.themselves.flatten().index_copy(0, self.touching, best).view_as(self.hole)
             if turn < ROUNDS:
@@ -230,7 +236,9 @@ class Patches:
         there_x = (origin % cw * w // cw + x - cx * w // cw).clamp(0, w - 1)
         origins = there_y * w + there_x
         # A copy of the hole itself, where sizes do not divide, is no example: the coarse colour stands in.
-        guess = torch.where(self.hole.flatten()[origins][..., None], coarse[cy, cx], self._apply_copies(picture, origins))
+        guess = torch.where(
+            self.hole.flatten()[origins][..., None], coarse[cy, cx], self._apply_copies(picture, origins)
+        )
         return torch.where(self.hole[..., None], guess, picture), origins
 
     def _apply_copies(self, picture: Picture, origins: Origins) -> Picture:
@@ -293,6 +301,11 @@ def _grow(region: Region, side: int) -> Region:
 
 def _level_size(mask: Mask, level: int) -> tuple[int, int]:
     return max(1, mask.shape[0] >> level), max(1, mask.shape[1] >> level)
+
+
+def _count_cells(mask: Mask, level: int) -> float:
+    """How many cells of a coarser level the mask covers."""
+    return float(_average_cells(mask, _level_size(mask, level)).sum())
 
 
 def _average_cells(values: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float32]:

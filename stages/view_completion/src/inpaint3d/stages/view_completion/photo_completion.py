@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.image_io import Image, Mask
-from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
 from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, find_visible, grow_cells
@@ -101,7 +101,7 @@ def complete_from_photos(
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
     alone. paintings: by view, first those that count more; each is taken before anything else is made up.
     """
-    say = tick or (lambda done, total, message: None)
+    say = tick or _ignore
     steps = len(views) + method.max_reference_views + len(paintings or {}) + 1
     drafts = [
         _start_draft(i, view, depths[view.name], appearance.to_mean(view.image, i)) for i, view in enumerate(views)
@@ -126,10 +126,12 @@ def complete_from_photos(
     for draft in drafts:
         _span_unsure(draft)
         draft.fill(draft.missing, fill_telea(draft.picture, draft.missing), SMOOTH)
-    made = [
-        Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth) for d in drafts
-    ]
+    made = [Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth) for d in drafts]
     return made, _describe(unknown, list(paintings or {}), references), references
+
+
+def _ignore(done: int, total: int, message: str) -> None:
+    """For callers who do not want to be told."""
 
 
 def _describe(unknown: float, painted: Sequence[str], references: Sequence[str]) -> str:

@@ -50,9 +50,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         case PriorSamples() as method:
             made, summary = _sample(method, scene.train, field, inputs, ctx)
     folder = outputs.folder("completed-views")
-    metadata = write_completions(
-        folder, made, method=config.method.name, summary=summary, reference_views=references
-    )
+    metadata = write_completions(folder, made, method=config.method.name, summary=summary, reference_views=references)
     outputs.write("completed-views", metadata)
     ctx.progress(1, 1, "completed")
 

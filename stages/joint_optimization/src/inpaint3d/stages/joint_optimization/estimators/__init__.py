@@ -3,9 +3,11 @@
 A module added to this package is an estimator more: nothing lists them.
 """
 
+import functools
 import importlib
+import operator
 import pkgutil
-from typing import TYPE_CHECKING, Annotated, Any, Union
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
@@ -38,5 +40,7 @@ if TYPE_CHECKING:
     AnyEstimator = Estimator
 else:
     AnyEstimator = Annotated[
-        Union[tuple(ESTIMATORS.values())], Field(discriminator="name"), BeforeValidator(_name_estimator)
+        functools.reduce(operator.or_, ESTIMATORS.values()),
+        Field(discriminator="name"),
+        BeforeValidator(_name_estimator),
     ]

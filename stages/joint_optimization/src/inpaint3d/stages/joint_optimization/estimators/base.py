@@ -217,22 +217,32 @@ class PriorEstimator(HoleFilling):
     def cost(self) -> str:
         return f"{self.evaluations()} UNet evaluations a distilled step"
 
-    def load_prior(self, setting: Setting, *, trainable: bool = False) -> "Denoiser":
-        """The prior that is wired; errors as of `load_denoiser`."""
+    trains_copy: ClassVar[bool] = False
+    """Whether a copy of the prior learns on the way."""
+
+    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":
+        """The guide that asks what is wired; errors as of `load_denoiser`, ConfigurationError for a pipeline that this
+        estimator cannot use.
+        """
+        from inpaint3d.contracts.artifacts import DiffusersPipeline
         from inpaint3d.diffusion.loading import load_denoiser
 
         asker = f"estimator {getattr(self, 'name')!r}"  # noqa: B009
-        return load_denoiser(
-            setting.inputs, asker=asker, prompt=self.prompt, device=setting.device, trainable=trainable
+        prior = load_denoiser(
+            setting.inputs, asker=asker, prompt=self.prompt, device=setting.device, trainable=self.trains_copy
         )
+        if (obstacle := self.find_obstacle(prior)) is not None:
+            kind = setting.inputs.one("diffusers-pipeline", DiffusersPipeline).metadata.kind
+            raise ConfigurationError(
+                f"{asker} {obstacle}; the prior is the {kind} at the input diffusers-pipeline: set another estimator "
+                "(sds, sdi, ism, denoised-target, dataset-update), or give no pipeline"
+            )
+        return self.guide_by(prior, to_fill, setting.seed)
 
-    def refuse_pipeline(self, setting: Setting, obstacle: str) -> ConfigurationError:
-        """The error for a diffusers pipeline that this estimator cannot use."""
-        from inpaint3d.contracts.artifacts import DiffusersPipeline
+    def find_obstacle(self, prior: "Denoiser") -> str | None:  # noqa: ARG002 - most take any
+        """Why this estimator cannot use a diffusers pipeline; None where it can."""
+        return None
 
-        kind = setting.inputs.one("diffusers-pipeline", DiffusersPipeline).metadata.kind
-        return ConfigurationError(
-            f"estimator {getattr(self, 'name')!r} {obstacle}; the prior is the {kind} at the input "  # noqa: B009
-            "diffusers-pipeline: set another estimator (sds, sdi, ism, denoised-target, dataset-update), or give no "
-            "pipeline"
-        )
+    def guide_by(self, prior: "Denoiser", to_fill: "tuple[MaskedView, ...]", seed: int) -> "Guide":
+        """The guide that asks a prior."""
+        raise NotImplementedError

@@ -58,7 +58,9 @@ class CompletedViewsEstimator(Guided):
         filled = load_filled(completed, setting)
         reasons = {"hole": completed.metadata.summary, "cost": "no UNet evaluation"}
         if not find_fillable(filled.views):
-            raise BadInputError("no training view shows both a filled hole and something known around it; author another mask")
+            raise BadInputError(
+                "no training view shows both a filled hole and something known around it; author another mask"
+            )
         alike = _share_exposure(tuple(filled.views), setting)
         guide = self._make_guide(alike) if self.weight else None
         return Preparation(alike, guide, None if self.filled_share == 0 else filled, reasons)

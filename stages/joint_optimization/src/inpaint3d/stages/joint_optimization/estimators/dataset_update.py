@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from inpaint3d.contracts.model import Share
-from inpaint3d.stages.joint_optimization.estimators.base import Count, PriorEstimator, Setting
+from inpaint3d.stages.joint_optimization.estimators.base import Count, PriorEstimator
 
 if TYPE_CHECKING:
+    from inpaint3d.diffusion.denoiser import Denoiser
     from inpaint3d.scene.masked_views import MaskedView
     from inpaint3d.stages.joint_optimization.guidance import Guide
 
@@ -29,11 +30,10 @@ class DatasetUpdate(PriorEstimator):
     def cost(self) -> str:
         return f"{self.evaluations()} UNet evaluations at every {self.update_every}th distilled step of a view"
 
-    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":
+    def guide_by(self, prior: "Denoiser", to_fill: "tuple[MaskedView, ...]", seed: int) -> "Guide":  # noqa: ARG002
         from inpaint3d.scene.windows import choose_fixed_windows
         from inpaint3d.stages.joint_optimization.guidance import DatasetGuide
 
-        prior = self.load_prior(setting)
         windows = choose_fixed_windows(to_fill, size=prior.size, span=self.span, min_known=self.min_known)
         return DatasetGuide(
             prior, windows, guidance=self.guidance, steps=self.denoise_steps, update_every=self.update_every

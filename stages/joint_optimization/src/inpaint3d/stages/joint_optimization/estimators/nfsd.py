@@ -2,9 +2,10 @@
 
 from typing import TYPE_CHECKING, Literal
 
-from inpaint3d.stages.joint_optimization.estimators.base import Narrowing, PriorEstimator, Setting
+from inpaint3d.stages.joint_optimization.estimators.base import Narrowing, PriorEstimator
 
 if TYPE_CHECKING:
+    from inpaint3d.diffusion.denoiser import Denoiser
     from inpaint3d.scene.masked_views import MaskedView
     from inpaint3d.stages.joint_optimization.guidance import Guide
 
@@ -17,14 +18,16 @@ class Nfsd(Narrowing, PriorEstimator):
     def evaluations(self) -> int:
         return self.conditional_evaluations + 1
 
-    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
-        from inpaint3d.diffusion.distillation import nfsd_gradient
+    def find_obstacle(self, prior: "Denoiser") -> str | None:
         from inpaint3d.diffusion.pipelines import PipelinePrior
+
+        blind = isinstance(prior, PipelinePrior) and not prior.sees_mask
+        return "compares two conditions, but this model is shown none" if blind else None
+
+    def guide_by(self, prior: "Denoiser", to_fill: "tuple[MaskedView, ...]", seed: int) -> "Guide":  # noqa: ARG002
+        from inpaint3d.diffusion.distillation import nfsd_gradient
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
-        prior = self.load_prior(setting)
-        if isinstance(prior, PipelinePrior) and not prior.sees_mask:
-            raise self.refuse_pipeline(setting, "compares two conditions, but this model is shown none")
         return PriorGuide(
             prior,
             lambda q: nfsd_gradient(prior, q.x, q.mask, q.t, q.eps, guidance=self.guidance, noise_fill=q.noise_fill),

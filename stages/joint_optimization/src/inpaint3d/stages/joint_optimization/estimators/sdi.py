@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator, Setting
+from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator
 
 if TYPE_CHECKING:
+    from inpaint3d.diffusion.denoiser import Denoiser
     from inpaint3d.scene.masked_views import MaskedView
     from inpaint3d.stages.joint_optimization.guidance import Guide
 
@@ -20,11 +21,11 @@ class Sdi(Narrowing, PriorEstimator):
     def evaluations(self) -> int:
         return self.inversion_steps + self.conditional_evaluations
 
-    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
+    def guide_by(self, prior: "Denoiser", to_fill: "tuple[MaskedView, ...]", seed: int) -> "Guide":  # noqa: ARG002
         from inpaint3d.diffusion.distillation import sdi_gradient
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
-        prior, g, steps = self.load_prior(setting), self.guidance, self.inversion_steps
+        g, steps = self.guidance, self.inversion_steps
         return PriorGuide(
             prior,
             lambda q: sdi_gradient(prior, q.x, q.mask, q.t, guidance=g, noise_fill=q.noise_fill, steps=steps),

@@ -2,9 +2,10 @@
 
 from typing import TYPE_CHECKING, Literal
 
-from inpaint3d.stages.joint_optimization.estimators.base import Narrowing, PriorEstimator, Setting
+from inpaint3d.stages.joint_optimization.estimators.base import Narrowing, PriorEstimator
 
 if TYPE_CHECKING:
+    from inpaint3d.diffusion.denoiser import Denoiser
     from inpaint3d.scene.masked_views import MaskedView
     from inpaint3d.stages.joint_optimization.guidance import Guide
 
@@ -17,11 +18,10 @@ class Sds(Narrowing, PriorEstimator):
     def evaluations(self) -> int:
         return self.conditional_evaluations
 
-    def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":  # noqa: ARG002
+    def guide_by(self, prior: "Denoiser", to_fill: "tuple[MaskedView, ...]", seed: int) -> "Guide":  # noqa: ARG002
         from inpaint3d.diffusion.distillation import sds_gradient
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
-        prior = self.load_prior(setting)
         return PriorGuide(
             prior,
             lambda q: sds_gradient(prior, q.x, q.mask, q.t, q.eps, guidance=self.guidance, noise_fill=q.noise_fill),
