@@ -12,6 +12,7 @@ from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.held_out import HeldOut
 from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.rays import joined
 from inpaint3d.radiance.rendering import render
@@ -26,7 +27,6 @@ from inpaint3d.radiance.training import (
     regularisers,
 )
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -60,7 +60,8 @@ def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, c
         tally.add(values["reconstruction"], rays)
         done = step + 1
         if done % config.score_every == 0 or done == config.steps:
-            tally.close(done, held_out.psnr(field, config.block))
+            score = held_out.psnr(field, config.block)
+            tally.close(done, math.nan if score is None else score)
             ctx.record("learning_curve", **tally.latest)
         if time.monotonic() - saved > config.checkpoint_every_s:
             _save(path, field, optimizer, generator, tally)
