@@ -21,10 +21,11 @@ from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
+from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.fit import Known, one_step, optimizer_of
+from inpaint3d.stages.nerf_pretraining.fit import Known, one_step
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GROWTH = {"rays": (256, 512, 1024, 2048, 4096), "samples": (8, 16, 32, 64), "log2_table": (14, 16, 17, 18, 19, 20)}
@@ -47,7 +48,7 @@ class Fit:
         )
         self.config, self.known, self.cpu_s = config, Known(pixels, scene.sightings), 0.0
         self.field = RadianceField(spec, seed, backend)
-        self.optimizer = optimizer_of(self.field, config)
+        self.optimizer = Adam.of(self.field, config.optimizer, config.loss_weights)
         self.generator = torch.Generator().manual_seed(seed)
 
     def step(self) -> float:
