@@ -20,11 +20,12 @@ from benchmarks.radiance import scene as scenes
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
+from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.fit import Known, one_step, optimizer_of
-from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
+from inpaint3d.stages.nerf_pretraining.fit import Known, one_step
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GROWTH = {"rays": (256, 512, 1024, 2048, 4096), "samples": (8, 16, 32, 64), "log2_table": (14, 16, 17, 18, 19, 20)}
@@ -47,7 +48,7 @@ class Fit:
         )
         self.config, self.known, self.cpu_s = config, Known(pixels, scene.sightings), 0.0
         self.field = RadianceField(spec, seed, backend)
-        self.optimizer = optimizer_of(self.field, config)
+        self.optimizer = Adam.of(self.field, config.optimizer, config.loss_weights)
         self.generator = torch.Generator().manual_seed(seed)
 
     def step(self) -> float:
@@ -105,16 +106,18 @@ def rate(scene: scenes.Scene, options: argparse.Namespace) -> dict[str, Any]:
 def curve(scene: scenes.Scene, options: argparse.Namespace) -> dict[str, Any]:
     """Held-out PSNR over CPU seconds: lattice of pixels as it goes (`curve`), whole pictures at `marks`."""
     fit = Fit(scene, pixels_of(scene), configured(options.preset), options.seed)
-    lattice, whole = HeldOut(scene.test, options.side, "cpu"), HeldOut(scene.test, options.whole_side, "cpu")
+    lattice, whole = (
+        HeldOut.on_lattice(map(KnownPhoto.of, scene.test), side, "cpu") for side in (options.side, options.whole_side)
+    )
     points: list[tuple[float, float]] = []
-    marks: dict[str, float] = {}
+    marks: dict[str, float | None] = {}
     left = sorted(options.marks)
     limit = max([*left, 0.0]) if left else options.limit_s
     due = options.every_s
     while fit.cpu_s < limit and not (options.until_db and points and points[-1][1] >= options.until_db):
         fit.step()
         if fit.cpu_s >= due or fit.cpu_s >= limit:
-            points.append((fit.cpu_s, lattice.psnr(fit.field, fit.config.block)))
+            points.append((fit.cpu_s, lattice.psnr(fit.field, fit.config.block) or math.nan))
             due = max(fit.cpu_s + options.every_s, fit.cpu_s * SPACING)
         while left and fit.cpu_s >= left[0]:
             marks[f"{left.pop(0):g}"] = whole.psnr(fit.field, fit.config.block)

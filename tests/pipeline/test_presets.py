@@ -4,6 +4,7 @@ import pytest
 
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.orchestrator.parameters import resolved
+from inpaint3d.stages.nerf_pretraining.config import Config
 from tests.conftest import REPOSITORY
 
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
@@ -44,9 +45,19 @@ def test_the_joint_optimisation_has_the_paper_s_numbers(preset):
 
 
 @pytest.mark.parametrize("preset", OWN)
-@pytest.mark.parametrize(
-    "node", ["nerf-pretraining", "masked-reconstruction", "continued-reconstruction", "joint-optimization"]
-)
+def test_the_paper_s_pretraining_learns_nothing_from_sparse_points(preset):
+    chosen = Config.model_validate(PIPELINE.parameters("nerf-pretraining", preset))
+    assert chosen.loss_weights.model_dump() == {
+        "reconstruction": 1.0, "interlevel": 1.0, "distortion": 0.005, "line_of_sight": 0.0, "hash_decay": 0.1,
+    }  # fmt: skip
+    assert chosen.optimizer.model_dump() == {
+        "learning_rate": 1e-2, "final_learning_rate": 1e-3, "learning_rate_steps": 2200, "learning_rate_warmup": 100,
+        "network_rate_share": 1.0, "sparse_adam": False, "near_gradient": True, "proposal_anneal_steps": 0,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("preset", OWN)
+@pytest.mark.parametrize("node", ["masked-reconstruction", "continued-reconstruction", "joint-optimization"])
 def test_the_paper_s_fields_learn_nothing_from_sparse_points(node, preset):
     assert resolved(PIPELINE, node, PIPELINE.parameters(node, preset))["sight_weight"] == 0.0
 

@@ -9,11 +9,11 @@ from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ArtifactError, Inpaint3dError
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.fitting import LossWeights
 from inpaint3d.radiance.io import load_field, save_field
 from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.training import (
-    LossWeights,
     Pixels,
     descend,
     proposal_anneal,

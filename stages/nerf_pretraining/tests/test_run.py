@@ -23,6 +23,7 @@ from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Interr
 from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.store import Artifact, Record, Store
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.sizing import field_spec
@@ -32,7 +33,6 @@ from inpaint3d.scene.image_io import read_exr
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import Known, fit
-from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 TEST_VIEWS = (3, 7, 11)
 SMALL: dict[str, Any] = {
@@ -177,7 +177,7 @@ def test_stopped_it_goes_on_as_if_nothing_had_happened(store: Store, tmp_path: P
         (tmp_path / folder).mkdir(exist_ok=True)
         ctx = Context(seed=0, device="cpu", threads=1, work=tmp_path / folder, emit=emit)
         field = RadianceField(spec, 0)
-        return field, fit(field, known, HeldOut(views[:1], 12, "cpu"), config, ctx)
+        return field, fit(field, known, HeldOut.on_lattice([KnownPhoto.of(views[0])], 12, "cpu"), config, ctx)
 
     whole, curve = fitted_in("whole")
     with pytest.raises(InterruptedRun):

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.fitting import LossWeights, Optimizer
 from inpaint3d.radiance.memory import roomy
 
 BETAS = (0.9, 0.99)
@@ -22,6 +23,17 @@ def learning_rate(
     steps = max(steps, 1)
     beyond = max(step / steps, 1.0)
     return initial * (final / initial) ** min(step / steps, 1.0) / beyond * min((step + 1) / max(warmup, 1), 1.0)
+
+
+def scheduled_rate(step: int, optimizer: Optimizer, steps: int) -> float:
+    """The learning rate at a step of a fit of `steps` steps."""
+    return learning_rate(
+        step,
+        initial=optimizer.learning_rate,
+        final=optimizer.final_learning_rate,
+        steps=optimizer.learning_rate_steps or steps,
+        warmup=optimizer.learning_rate_warmup,
+    )
 
 
 class Adam:
@@ -59,6 +71,23 @@ class Adam:
         self._moments: dict[Tensor, tuple[Tensor, Tensor]] = {}
         self.steps = 0
         self.lost: dict[Tensor, int] = {}
+
+    @classmethod
+    def of(
+        cls,
+        field: RadianceField,
+        optimizer: Optimizer,
+        weights: LossWeights,
+        before_step: Callable[[], None] | None = None,
+    ) -> "Adam":
+        """As the parameters of a stage ask for."""
+        return cls(
+            field,
+            network_scale=optimizer.network_rate_share,
+            hash_decay=weights.hash_decay,
+            sparse=optimizer.sparse_adam,
+            before_step=before_step,
+        )
 
     def moments(self, param: Tensor) -> tuple[Tensor, Tensor]:
         """Adam's m and v of a parameter; zeros before its first step."""

@@ -77,7 +77,7 @@ def camera_rays(
     origins, directions = camera.rays(xy.cpu().numpy() if isinstance(xy, Tensor) else xy)
     codes = None if view is None else torch.full(directions.shape[:-1], view, dtype=torch.int64, device=device)
     return Rays(
-        torch.from_numpy(np.ascontiguousarray(origins)).to(device, torch.float32),
+        torch.from_numpy(np.array(origins)).to(device, torch.float32),
         torch.from_numpy(directions).to(device, torch.float32),
         codes,
     )

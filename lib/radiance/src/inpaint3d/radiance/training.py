@@ -12,6 +12,7 @@ from torch import Tensor
 
 from inpaint3d.contracts.errors import Inpaint3dError
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.fitting import LossWeights
 from inpaint3d.radiance.losses import charbonnier, distortion_loss, interlevel_loss
 from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.rays import CameraStack, Rays
@@ -59,15 +60,6 @@ class Pixels:
         chosen = torch.randint(len(self), (count,), generator=generator, device=generator.device).to(self.view.device)
         centre = self.column_row[chosen].float() + 0.5
         return self.cameras.rays(self.view[chosen].long(), centre), self.rgb[chosen]
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """Weights of the terms (paper, appendix; conformance L3)."""
-
-    reconstruction: float = 1.0
-    interlevel: float = 1.0
-    distortion: float = 0.005
 
 
 def regularisers(rendering: Rendering, weights: LossWeights) -> dict[str, Tensor]:

@@ -8,11 +8,11 @@ from typing import Annotated
 from pydantic import Field
 
 from inpaint3d.contracts.model import Closed, Positive
+from inpaint3d.radiance.fitting import LossWeights, Optimizer
 from inpaint3d.radiance.sizing import Architecture
 
 Count = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, Field(ge=0)]
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Config(Closed):
@@ -24,29 +24,11 @@ class Config(Closed):
     first_rays: Count = Field(default=256, description="rays of the first step; they grow to `rays` over `ramp_steps`")
     ramp_steps: Steps = Field(default=300, description="steps over which the rays of a step grow; paper: 0")
 
-    learning_rate: Positive = Field(default=1e-2, description="at the start, after warm-up (N7)")
-    final_learning_rate: Positive = Field(default=1e-3, description="at the end of its decay (N7)")
-    learning_rate_steps: Count | None = Field(
-        default=None, description="steps of the exponential decay; None: all steps; 2200 in the paper (N7)"
+    optimizer: Optimizer = Optimizer()
+    loss_weights: LossWeights = LossWeights()
+    line_of_sight_rays: Count = Field(
+        default=32, description="rays a step to sparse points, as the training views saw them"
     )
-    learning_rate_warmup: Steps = Field(default=30, description="steps of linear warm-up; 100 in the paper (N7)")
-    network_rate_share: Positive = Field(default=1.0, description="networks' rate over the tables'")
-    sparse_adam: bool = Field(
-        default=False,
-        description="True: table entries that no ray met rest, their moments and decay too; paper: False",
-    )
-    near_gradient: bool = Field(default=False, description="False: gradients near cameras are turned down; paper: True")
-    proposal_anneal_steps: Steps = Field(
-        default=0, description="steps over which proposals come into force; 0: at once"
-    )
-
-    interlevel_weight: Weight = Field(default=1.0, description="L3, L5")
-    distortion_weight: Weight = Field(default=0.005, description="L3, L4")
-    sight_weight: Weight = Field(
-        default=0.1, description="weight of clear air before sparse points and of light stopping there; 0 in the paper"
-    )
-    sight_rays: Count = Field(default=32, description="rays a step to points as the training views saw them")
-    hash_decay_weight: Weight = Field(default=0.1, description="weight decay of the grids (N9)")
 
     score_every: Count = Field(default=200, description="steps between points of the learning curve")
     score_views: Count = Field(default=4, description="held-out views that a point is taken over, at most")

@@ -12,12 +12,12 @@ from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
-from inpaint3d.radiance.optim import Adam, learning_rate
+from inpaint3d.radiance.held_out import HeldOut
+from inpaint3d.radiance.optim import Adam, scheduled_rate
 from inpaint3d.radiance.rays import joined
 from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.sightings import Sightings, line_of_sight_loss
 from inpaint3d.radiance.training import (
-    LossWeights,
     Pixels,
     descend,
     proposal_anneal,
@@ -26,7 +26,6 @@ from inpaint3d.radiance.training import (
     regularisers,
 )
 from inpaint3d.stages.nerf_pretraining.config import Config
-from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -43,7 +42,7 @@ class Known(NamedTuple):
 
 def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
     """Fit the field to what is known and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
-    optimizer = optimizer_of(field, config)
+    optimizer = Adam.of(field, config.optimizer, config.loss_weights)
     generator = torch.Generator().manual_seed(ctx.seed)
     tally = Tally()
     path = ctx.work / CHECKPOINT
@@ -60,23 +59,14 @@ def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, c
         tally.add(values["reconstruction"], rays)
         done = step + 1
         if done % config.score_every == 0 or done == config.steps:
-            tally.close(done, held_out.psnr(field, config.block))
+            score = held_out.psnr(field, config.block)
+            tally.close(done, math.nan if score is None else score)
             ctx.record("learning_curve", **tally.latest)
         if time.monotonic() - saved > config.checkpoint_every_s:
             _save(path, field, optimizer, generator, tally)
             saved = time.monotonic()
     _save(path, field, optimizer, generator, tally)
     return tally.curve
-
-
-def optimizer_of(field: RadianceField, config: Config) -> Adam:
-    """The optimiser that the parameters ask for."""
-    return Adam(
-        field,
-        network_scale=config.network_rate_share,
-        hash_decay=config.hash_decay_weight,
-        sparse=config.sparse_adam,
-    )
 
 
 def one_step(
@@ -88,30 +78,28 @@ def one_step(
     non_finite: dict[str, int],
 ) -> tuple[dict[str, float], int]:
     """One step of the fit: the value of each loss term, and how many rays it took."""
-    step = optimizer.steps
+    step, how, weights = optimizer.steps, config.optimizer, config.loss_weights
     count = rays_at(step, first=min(config.first_rays, config.rays), last=config.rays, ramp=config.ramp_steps)
     rays, target = known.pixels.draw(count, generator)
     toward = None
-    if known.sightings and config.sight_weight:
-        toward = known.sightings.draw(config.sight_rays, generator)
+    if known.sightings and weights.line_of_sight:
+        toward = known.sightings.draw(config.line_of_sight_rays, generator)
         rays = joined([rays, toward.rays])
     # A background that nothing can imitate: what the photos show has to become opaque.
     background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
-    anneal = proposal_anneal(step, config.proposal_anneal_steps) if config.proposal_anneal_steps else 1.0
+    anneal = proposal_anneal(step, how.proposal_anneal_steps) if how.proposal_anneal_steps else 1.0
     rendering = render(
-        field, rays, generator=generator, background=background, anneal=anneal, near_gradient=config.near_gradient
+        field, rays, generator=generator, background=background, anneal=anneal, near_gradient=how.near_gradient
     )
-    weights = LossWeights(interlevel=config.interlevel_weight, distortion=config.distortion_weight)
-    terms = {"reconstruction": reconstruction(rendering.rgb[:count], target), **regularisers(rendering, weights)}
+    terms = {
+        "reconstruction": reconstruction(rendering.rgb[:count], target, weights.reconstruction),
+        **regularisers(rendering, weights),
+    }
     if toward is not None:
-        terms["sight"] = config.sight_weight * line_of_sight_loss(rendering, slice(count, None), toward.distance)
-    rate = learning_rate(
-        step,
-        initial=config.learning_rate,
-        final=config.final_learning_rate,
-        steps=config.learning_rate_steps or config.steps,
-        warmup=config.learning_rate_warmup,
-    )
+        terms["line_of_sight"] = weights.line_of_sight * line_of_sight_loss(
+            rendering, slice(count, None), toward.distance
+        )
+    rate = scheduled_rate(step, how, config.steps)
     return descend(field, optimizer, terms, rate, non_finite), count
 
 

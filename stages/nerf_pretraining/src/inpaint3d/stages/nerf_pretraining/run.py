@@ -1,7 +1,5 @@
 """Fit the paper's radiance field to a whole capture, and show every view of it."""
 
-import math
-
 import numpy as np
 import torch
 
@@ -12,6 +10,7 @@ from inpaint3d.radiance import backends
 from inpaint3d.radiance.agreement import agreement
 from inpaint3d.radiance.artifact import write_curve, write_views
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.io import save_field
 from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.sizing import field_spec
@@ -19,7 +18,6 @@ from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import Known, fit
-from inpaint3d.stages.nerf_pretraining.held_out import HeldOut
 
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
@@ -51,14 +49,13 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     sightings = None
     if seen_by_training.any():
         sightings = Sightings.of([view.camera for view in views], points, seen_by_training, ctx.device)
-    curve = fit(
-        field, Known(pixels, sightings), HeldOut(test[: config.score_views], config.score_side, ctx.device), config, ctx
-    )
+    scored = HeldOut.on_lattice(map(KnownPhoto.of, test[: config.score_views]), config.score_side, ctx.device)
+    curve = fit(field, Known(pixels, sightings), scored, config, ctx)
 
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
     write_curve(folder, curve)
-    score = HeldOut(test, config.score_side, ctx.device).psnr(field, config.block)
+    held_out = HeldOut.on_lattice(map(KnownPhoto.of, test), config.score_side, ctx.device)
     judges = ~seen_by_training if test else None
     agrees = agreement(field, [view.camera for view in views], points, among=judges, block=config.block)
     shown = write_views(
@@ -76,7 +73,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         steps=config.steps,
         seed=ctx.seed,
         backend=backends.name_of(field.backend),
-        held_out_psnr=None if math.isnan(score) else score,
+        held_out_psnr=held_out.psnr(field, config.block),
         depth_error=None if agrees is None else agrees.depth_error,
         floaters=None if agrees is None else agrees.floaters,
         non_finite=ctx.non_finite,
