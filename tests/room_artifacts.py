@@ -13,6 +13,7 @@ from inpaint3d.contracts.artifacts import (
     PriorSpec,
     Registration,
 )
+from inpaint3d.contracts.artifacts.completion import SOURCE_CODES
 from inpaint3d.contracts.model import Digest
 from inpaint3d.contracts.store import Store
 from inpaint3d.diffusion.io import save_prior
@@ -20,6 +21,7 @@ from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import write_mask
 from inpaint3d.scene.synthetic import SyntheticScene
+from inpaint3d.stages.view_completion.completion import Completion, write_completions
 
 PRIOR = PriorSpec(size=16, width=8, multipliers=(1, 2), blocks=(1, 1), attention=(False, False))
 
@@ -75,3 +77,27 @@ def put_prior(store: Store, spec: PriorSpec = PRIOR) -> Digest:
     save_prior(folder / "weights.safetensors", InpaintingPrior(spec, seed=0))
     (folder / "training_curve.csv").write_text("step,loss,held_out_loss\n")
     return store.put(folder, "diffusion-prior", DiffusionPrior(spec=spec, steps=0, seed=0, trained_on="nothing"))
+
+
+def put_completed(
+    store: Store,
+    room: SyntheticScene,
+    *,
+    method: str = "photo-completion",
+    skip: int = 0,
+    pictures: np.ndarray | None = None,
+) -> Digest:
+    """Completed views that show the empty room, or `pictures`; the first `skip` views are missing."""
+    folder = store.private_folder()
+    views = [
+        Completion(name, image, np.where(hole, SOURCE_CODES["example"], 0).astype(np.uint16), depth.astype(np.float32))
+        for name, image, hole, depth in zip(
+            room.names,
+            room.empty_images if pictures is None else pictures,
+            room.object_masks,
+            room.empty_depths,
+            strict=True,
+        )
+    ]
+    metadata = write_completions(folder, views[skip:], method=method, summary="the empty room")
+    return store.put(folder, "completed-views", metadata)

@@ -87,10 +87,11 @@ def test_rays_of_the_distilled_hole_count_among_the_regularised(field: RadianceF
 
 def test_the_papers_loss_weights_are_the_default() -> None:
     """L3."""
-    losses = Config().losses
-    assert (losses.reconstruction_weight, losses.interlevel_weight) == (1.0, 1.0)
-    assert (losses.distortion_weight, losses.depth_weight) == (0.005, 1e-4)
-    assert losses.depth_patches == 4
+    config = Config()
+    weights = config.loss_weights
+    assert (weights.reconstruction, weights.interlevel) == (1.0, 1.0)
+    assert (weights.distortion, weights.depth) == (0.005, 1e-4)
+    assert config.depth_patches == 4
 
 
 def test_gradient_norms_are_those_of_each_term_alone(field: RadianceField, batch: Batch) -> None:
@@ -117,10 +118,10 @@ def test_rays_to_sparse_points_are_those_before_the_patches(field: RadianceField
     sighted = Batch(batch.rays, batch.target, distance, PATCHES)
     assert sighted.sighted == slice(KNOWN, KNOWN + MASKED)
     plain, terms = terms_of(field, batch), terms_of(field, sighted)
-    assert "sight" not in plain
+    assert "line_of_sight" not in plain
     stream, background = torch.Generator().manual_seed(0), torch.full((len(batch.rays.origins), 3), BACKGROUND)
     background[:KNOWN] = torch.rand(KNOWN, 3, generator=stream)
     seen = render(field, batch.rays, generator=stream, background=background)
     by_hand = line_of_sight_loss(seen, slice(KNOWN, KNOWN + MASKED), distance)
-    torch.testing.assert_close(terms["sight"], CONFIG.sight_weight * by_hand)
+    torch.testing.assert_close(terms["line_of_sight"], CONFIG.loss_weights.line_of_sight * by_hand)
     torch.testing.assert_close(terms["reconstruction"], plain["reconstruction"])

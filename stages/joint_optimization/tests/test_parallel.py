@@ -41,7 +41,7 @@ def test_two_ranks_step_along_the_mean_of_their_gradients(store: Store, inputs: 
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
     problem, _ = pose(config, Inputs(store, spec, wired), 0, "cpu")
     field, before = problem.field, [p.detach().clone() for p in problem.field.parameters()]
-    optimizer = Adam(field, hash_decay=config.losses.hash_decay_weight)
+    optimizer = Adam(field, hash_decay=config.loss_weights.hash_decay)
     for step in range(config.steps):
         for parameter in field.parameters():
             parameter.grad = None

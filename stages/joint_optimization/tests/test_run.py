@@ -3,7 +3,7 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast, get_args
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from inpaint3d.contracts.shim import Invocation, execute
 from inpaint3d.contracts.stage import load_stage
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.diffusion.io import save_prior
+from inpaint3d.diffusion.loading import load_trained_prior
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.runtimes import OnnxNetwork, export_onnx
 from inpaint3d.diffusion.unet import EfficientUNet
@@ -23,9 +24,12 @@ from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.radiance.training import psnr
 from inpaint3d.scene.synthetic import SyntheticScene
-from inpaint3d.stages.joint_optimization.config import Config, Estimator
-from inpaint3d.stages.joint_optimization.priors import load_network
+from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.curves import Curves
+from inpaint3d.stages.joint_optimization.estimators import ESTIMATORS
 from inpaint3d.stages.joint_optimization.run import run
+from tests.parameters import merge
+from tests.room_artifacts import put_completed
 
 MODULE = "inpaint3d.stages.joint_optimization"
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
@@ -44,22 +48,22 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("estimator", get_args(Estimator))
+@pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_nothing_under_the_mask_reaches_the_field(
     store: Store, inputs: Wired, room: SyntheticScene, estimator: str
 ) -> None:
     """Repainting every masked pixel with a marker colour changes no byte."""
-    few = {"estimator": estimator, "steps": 5, "update_every": 2, "sample_steps": 2}
+    own = {"dataset-update": {"update_every": 2}}
+    few = {"steps": 5, "estimator": {"name": estimator} | own.get(estimator, {})}
     marked = np.where(room.object_masks[..., None], np.array([1.0, 0.0, 1.0], np.float32), room.images)
     assert (marked != room.images).any()
-    # Pictures are carried by the depth of a field that saw the known pixels alone.
-    start = {"initial-field": optimise(store, inputs(), estimator="none").digest} if estimator == "reference" else {}
-    clean = optimise(store, inputs() | start, **few)
-    marker = optimise(store, inputs(marked) | start, **few)
+    completed = {"completed-views": put_completed(store, room)}
+    clean = optimise(store, inputs() | completed, **few)
+    marker = optimise(store, inputs(marked) | completed, **few)
     assert clean.digest == marker.digest
     # Something outside the mask does reach it: the test can see a difference.
     other = np.where(room.object_masks[..., None], room.images, 1 - room.images)
-    assert optimise(store, inputs(other) | start, **few).digest != clean.digest
+    assert optimise(store, inputs(other) | completed, **few).digest != clean.digest
 
 
 def test_reconstruction_learns_what_is_known(store: Store, inputs: Wired, room: SyntheticScene) -> None:
@@ -93,7 +97,7 @@ def test_the_learning_curve_and_the_terms_are_in_the_artifact(store: Store, inpu
 
 
 def test_the_push_of_the_prior_is_logged_where_not_every_step_distils(store: Store, inputs: Wired) -> None:
-    result = optimise(store, inputs(), distill_every=2, warmup_steps=0, steps=9)
+    result = optimise(store, inputs(), estimator={"distill_every": 2, "warmup_steps": 0}, steps=9)
     measured = [r["distillation_over_reconstruction"] for r in rows(result.path("terms.csv"))]
     assert len(measured) == 2
     assert all(measured)
@@ -111,17 +115,46 @@ def test_without_a_prior_no_distillation_is_logged(store: Store, inputs: Wired) 
 def test_an_estimator_without_a_prior_is_a_configuration_error(store: Store, inputs: Wired) -> None:
     wired = inputs()
     del wired["diffusion-prior"]
-    with pytest.raises(ConfigurationError, match="set estimator to one of none, classical, features, reference"):
-        optimise(store, wired, estimator="sds")
+    with pytest.raises(ConfigurationError, match="estimator 'sds' asks a prior, and nothing is wired to its inputs"):
+        optimise(store, wired)
 
 
-def test_a_reference_needs_the_depth_of_a_field(store: Store, inputs: Wired) -> None:
-    with pytest.raises(ConfigurationError, match="wire one to the input initial-field"):
-        optimise(store, inputs(), estimator="reference")
-    first = optimise(store, inputs(), estimator="none")
-    result = optimise(store, inputs() | {"initial-field": first.digest}, estimator="reference", steps=3)
-    assert "of what is masked as other photos show it" in result.metadata.decisions["hole"]
+COMPLETED = {"name": "completed-views", "patch_size": 16, "warmup_steps": 0}
+
+
+def test_completed_views_are_fitted(store: Store, inputs: Wired, room: SyntheticScene) -> None:
+    """The hole takes the colour that the completed pictures have there, by rays alone and with LPIPS on top."""
+    with pytest.raises(ConfigurationError, match="nothing is wired to the input completed-views"):
+        optimise(store, inputs(), estimator="completed-views")
+    magenta = np.where(room.object_masks[..., None], np.array([1.0, 0.0, 1.0], np.float32), room.images)
+    wired = inputs() | {"completed-views": put_completed(store, room, pictures=magenta)}
+
+    def error(estimator: Any) -> float:
+        result = optimise(store, wired, estimator=estimator, steps=100, rays=256)
+        field = load_field(result.path("weights.safetensors"), result.metadata.spec)
+        shown, hole = render_view(field, room.cameras[0])["rgb"], room.object_masks[0]
+        return float(np.abs(shown - magenta[0])[hole].mean())
+
+    nothing, rays, both = (error(e) for e in ("none", COMPLETED | {"weight": 0.0}, COMPLETED))
+    assert rays < 0.5 * nothing
+    assert both < 0.5 * nothing
+
+
+def test_what_completion_says_is_in_the_artifact(store: Store, inputs: Wired, room: SyntheticScene) -> None:
+    wired = inputs() | {"completed-views": put_completed(store, room)}
+    result = optimise(store, wired, estimator=COMPLETED, steps=3)
+    assert result.metadata.label == "joint-photo-completion"
+    assert result.metadata.decisions["hole"] == "the empty room"
     assert result.metadata.decisions["cost"] == "no UNet evaluation"
+    sampled = inputs() | {"completed-views": put_completed(store, room, method="prior-samples")}
+    windows = COMPLETED | {"windows": "whole-hole", "span": 0.75, "filled_share": 0.0}
+    assert optimise(store, sampled, estimator=windows, steps=3).metadata.label == "inpaint-then-nerf"
+
+
+def test_completed_views_of_another_capture_are_bad_input(store: Store, inputs: Wired, room: SyntheticScene) -> None:
+    wired = inputs() | {"completed-views": put_completed(store, room, skip=1)}
+    with pytest.raises(BadInputError, match="have no view view_000; re-run view-completion"):
+        optimise(store, wired, estimator=COMPLETED)
 
 
 # What the exporter uses of torch and onnxscript is old to torch itself.
@@ -137,9 +170,12 @@ def test_a_prior_is_asked_in_the_runtime_that_it_names_unless_a_copy_of_it_learn
     )
     artifact = store.open(store.put(folder, "diffusion-prior", metadata), DiffusionPrior)
     wired = cast(Inputs, SimpleNamespace(optional=lambda *_: artifact))
-    for estimator, network in (("sds", OnnxNetwork), ("vsd", EfficientUNet)):
-        assert isinstance(load_network(Config(estimator=estimator), wired, "cpu").network, network)
-    assert isinstance(load_network(Config(estimator="sds"), wired, "cuda").network, EfficientUNet)
+    for trainable, network in ((False, OnnxNetwork), (True, EfficientUNet)):
+        prior = load_trained_prior(wired, asker="a test", device="cpu", trainable=trainable)
+        assert isinstance(prior.network, network)
+    prior = load_trained_prior(wired, asker="a test", device="cuda", trainable=False)
+    assert isinstance(prior.network, EfficientUNet)
+    assert [name for name, kind in ESTIMATORS.items() if getattr(kind, "trains_copy", False)] == ["vsd"]
 
 
 def test_a_view_without_mask_is_bad_input(store: Store, inputs: Wired) -> None:
@@ -150,18 +186,27 @@ def test_a_view_without_mask_is_bad_input(store: Store, inputs: Wired) -> None:
 
 def test_stopping_early_shows_in_no_step_before(store: Store, inputs: Wired) -> None:
     """S11: the schedules run over S steps, however many of them are done; only windows and weights may end earlier."""
-    fixed = {"schedule_steps": 24, "learning_rate_steps": 24, "span_last": 0.75, "terms_every": 1, "t_min": 0.2}
+    scheduled = {"schedule_steps": 24, "span_last": 0.75, "t_min": 0.2}
+    fixed = {"estimator": scheduled, "optimizer": {"learning_rate_steps": 24}, "terms_every": 1}
     early, late = (optimise(store, inputs(), steps=steps, **fixed) for steps in (4, 8))
     first, second = (rows(artifact.path("terms.csv")) for artifact in (early, late))
     assert len(first) == 4
     assert first == second[:4]
     # Counted over its own steps, a short run would anneal faster: the row would not be the paper's.
-    own = optimise(store, inputs(), **(fixed | {"schedule_steps": None, "steps": 4}))
+    own = optimise(store, inputs(), **(fixed | {"estimator": scheduled | {"schedule_steps": None}, "steps": 4}))
     assert rows(own.path("terms.csv"))[3]["t_high"] != first[3]["t_high"]
 
 
+def test_every_term_of_a_step_has_its_columns(store: Store, inputs: Wired) -> None:
+    """What is descended is what is written: a term that has no column is an error, not a gap."""
+    terms = rows(optimise(store, inputs(), steps=4).path("terms.csv"))
+    assert all(float(row["loss_line_of_sight"]) > 0 and float(row["gradient_line_of_sight"]) > 0 for row in terms)
+    with pytest.raises(ValueError, match="no column for loss_sight"):
+        Curves().add_terms(1, {"sight": 0.1}, {})
+
+
 def test_the_cost_of_the_estimator_is_in_the_artifact(store: Store, inputs: Wired) -> None:
-    result = optimise(store, inputs(), steps=3, estimator="ism", guidance=2.0, denoise_steps=3)
+    result = optimise(store, inputs(), steps=3, estimator={"name": "ism", "guidance": 2.0, "inversion_steps": 3})
     assert result.metadata.decisions["cost"] == "6 UNet evaluations a distilled step"
 
 
@@ -174,7 +219,7 @@ def test_an_initial_field_goes_on_where_it_was(store: Store, inputs: Wired) -> N
     assert second.metadata.spec == first.metadata.spec
     assert [r["t"] != "" for r in rows(second.path("terms.csv"))] == [True, True, True]
     assert "hole" in second.metadata.decisions
-    whole = optimise(store, inputs() | {"initial-field": first.digest}, steps=3, hole="as-masked")
+    whole = optimise(store, inputs() | {"initial-field": first.digest}, steps=3, estimator={"hole": "as-masked"})
     assert "hole" not in whole.metadata.decisions
     without = optimise(store, inputs() | {"initial-field": first.digest}, estimator="none", steps=3)
     assert without.metadata.label == "continued-reconstruction"
@@ -215,19 +260,18 @@ class _Stops(Context):
     [
         {},
         {"estimator": "vsd"},
-        {"estimator": "dataset-update", "update_every": 2},
-        {"estimator": "reference"},
+        {"estimator": {"name": "dataset-update", "update_every": 2}},
+        {"estimator": COMPLETED},
         pytest.param({"ranks": 2}, marks=pytest.mark.slow),
     ],
 )
 def test_stopped_and_resumed_is_the_run_without_the_stop(
-    store: Store, inputs: Wired, tmp_path: Path, parameters: dict[str, Any]
+    store: Store, inputs: Wired, room: SyntheticScene, tmp_path: Path, parameters: dict[str, Any]
 ) -> None:
     """What vsd's copy learnt and the pictures of dataset-update are in the checkpoint too, and all ranks stop alike."""
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
-    config, wired = Config.model_validate(TINY | parameters), inputs()
-    if config.estimator == "reference":
-        wired["initial-field"] = optimise(store, wired, estimator="none").digest
+    config, wired = Config.model_validate(merge(TINY, parameters)), inputs()
+    wired["completed-views"] = put_completed(store, room)
 
     def artifact(work: Path, *stops: int | None) -> str:
         for stop in stops:

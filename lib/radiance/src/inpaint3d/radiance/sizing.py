@@ -50,22 +50,6 @@ class Architecture(Closed):
     far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
 
 
-class Optimizer(Closed):
-    """How Adam descends."""
-
-    learning_rate: Positive = Field(default=1e-2, description="at the start, after warm-up (N7)")
-    final_learning_rate: Positive = Field(default=1e-3, description="at the end of its decay (N7)")
-    learning_rate_steps: Count | None = Field(
-        default=None, description="steps of the exponential decay; None: all steps; 2200 in the paper (N7)"
-    )
-    learning_rate_warmup: Annotated[int, Field(ge=0)] = Field(default=30, description="steps of linear warm-up (N7)")
-    warm_start_lr_scale: Positive = Field(default=0.3, description="share of the rates with an initial field")
-    network_rate_share: Positive = Field(default=1.0, description="networks' rate over the tables'")
-    sparse_adam: bool = False
-    near_gradient: bool = False
-    proposal_anneal_steps: Annotated[int, Field(ge=0)] = 0
-
-
 def field_spec(
     size: Architecture, plan: EffectPlan, *, views: int, centre_depth: float, points: NDArray[np.float32]
 ) -> FieldSpec:

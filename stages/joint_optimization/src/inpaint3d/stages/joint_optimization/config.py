@@ -7,31 +7,30 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from inpaint3d.contracts.model import Closed
-from inpaint3d.radiance.sizing import Architecture, Optimizer
+from inpaint3d.contracts.model import Closed, Positive
+from inpaint3d.radiance.fitting import AnnealSteps, LossWeights, Optimizer, Warmup, Weight
+from inpaint3d.radiance.sizing import Architecture
 from inpaint3d.stages.joint_optimization.estimators import READS, AnyEstimator
 from inpaint3d.stages.joint_optimization.estimators.completed_views import CompletedViewsEstimator
 
 Count = Annotated[int, Field(ge=1)]
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class Losses(Closed):
-    """Weights of the terms beside that of the estimator."""
+class JointOptimizer(Optimizer):
+    """How the field is moved; a field that comes with an initial field more carefully."""
 
-    reconstruction_weight: Annotated[float, Field(gt=0, allow_inf_nan=False)] = Field(default=1.0, description="L3")
-    interlevel_weight: Weight = Field(default=1.0, description="L3")
-    distortion_weight: Weight = Field(default=0.005, description="L3")
-    line_of_sight_weight: Weight = Field(
-        default=0.1,
-        description="weight of clear air before the sparse points that no mask covers, and of light stopping there; "
-        "0 in the paper",
+    learning_rate_warmup: Warmup = 20
+    proposal_anneal_steps: AnnealSteps = 100
+    warm_start_lr_scale: Positive = Field(
+        default=0.3,
+        description="share of the learning rates that an initial field gets: at the full rate it forgets what it knows",
     )
-    line_of_sight_rays: Count = Field(default=32, description="rays a step to such points")
-    depth_weight: Weight = Field(default=1e-4, description="weight of depth smoothness (L3, L6)")
-    depth_patches: Count = Field(default=4, description="patches a step for depth smoothness (L6)")
-    depth_patch_size: Annotated[int, Field(ge=2)] = Field(default=8, description="their side, pixels; paper: 64 (L6)")
-    hash_decay_weight: Weight = Field(default=0.1, description="weight decay of the grids (N9)")
+
+
+class JointLossWeights(LossWeights):
+    """Weights of the terms beside the estimator's own."""
+
+    depth: Weight = Field(default=1e-4, description="depth smoothness (L6)")
 
 
 class Config(Closed):
@@ -53,8 +52,11 @@ class Config(Closed):
     steps: Count = Field(default=1600, description="steps done (S11: 600 to 1600 in the paper)")
     rays: Count = Field(default=512, description="random rays a step, over all views; 65536 in the paper (N8)")
     architecture: Architecture = Architecture()
-    optimizer: Optimizer = Optimizer(learning_rate_warmup=20, proposal_anneal_steps=100)
-    losses: Losses = Losses()
+    optimizer: JointOptimizer = JointOptimizer()
+    loss_weights: JointLossWeights = JointLossWeights()
+    line_of_sight_rays: Count = Field(default=32, description="rays a step to sparse points that no mask covers")
+    depth_patches: Count = Field(default=4, description="patches a step for depth smoothness (L6)")
+    depth_patch_size: Annotated[int, Field(ge=2)] = Field(default=8, description="their side, pixels; paper: 64 (L6)")
     block: Count = Field(default=8192, description="rays rendered at once where there is no other limit (memory)")
     score_every: Count = Field(default=50, description="steps between points of the learning curve")
     score_pixels: Count = Field(default=1024, description="known pixels of each test view that a point is taken over")

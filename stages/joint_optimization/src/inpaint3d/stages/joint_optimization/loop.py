@@ -13,6 +13,7 @@ from inpaint3d.contracts.errors import BadInputError, InterruptedRun
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.radiance.training import descend, proposal_anneal
@@ -25,7 +26,6 @@ from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
 from inpaint3d.stages.joint_optimization.estimators.base import Guided
 from inpaint3d.stages.joint_optimization.guidance import Guide, Timesteps
-from inpaint3d.stages.joint_optimization.held_out import HeldOut
 from inpaint3d.stages.joint_optimization.objective import Terms, decay_term, gradient_norms, step_terms
 from inpaint3d.stages.joint_optimization.parallel import Ranks
 from inpaint3d.stages.joint_optimization.schedule import (
@@ -92,15 +92,15 @@ class Problem:
         They depend on the field, the guide, (seed, step, rank) and nothing else: that a run was stopped and went on, or
         how its ranks share out, never shows.
         """
-        config, losses = self.config, self.config.losses
+        config, weights = self.config, self.config.loss_weights
         rng, generator = step_generators(self.seed * ranks.world_size + ranks.rank, step)
         distilled, weight, figures = self._distil(step, rng, generator)
         batch = self.bank.draw(
             config.rays // ranks.world_size,
-            patches=losses.depth_patches if losses.depth_weight else 0,
-            patch_size=losses.depth_patch_size,
+            patches=config.depth_patches if weights.depth else 0,
+            patch_size=config.depth_patch_size,
             generator=generator,
-            sighted=max(1, losses.line_of_sight_rays // ranks.world_size) if losses.line_of_sight_weight else 0,
+            sighted=max(1, config.line_of_sight_rays // ranks.world_size) if weights.line_of_sight else 0,
         )
         anneal = proposal_anneal(step, config.optimizer.proposal_anneal_steps) if self.fresh else 1.0
         terms = step_terms(self.field, batch, distilled, weight, config, anneal=anneal, generator=generator)
@@ -150,12 +150,14 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
 
     Every rank calls it; the first one keeps the checkpoint, and what it decides all do at the same step.
     """
-    field, config, losses_of = problem.field, problem.config, problem.config.losses
-    held_out = HeldOut(problem.scene.test, config.score_pixels, str(field.device))
+    field, config = problem.field, problem.config
+    held_out = HeldOut.at_random(
+        [KnownPhoto(v.camera, v.image, v.known) for v in problem.scene.test], config.score_pixels, field.device
+    )
     optimizer = Adam(
         field,
         network_scale=config.optimizer.network_rate_share,
-        hash_decay=config.losses.hash_decay_weight,
+        hash_decay=config.loss_weights.hash_decay,
         sparse=config.optimizer.sparse_adam,
         before_step=lambda: ranks.average(field.parameters()),
     )
@@ -169,7 +171,7 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
             problem.guide.restore({n.removeprefix(GUIDE): t for n, t in kept.items() if n.startswith(GUIDE)})
     saved = time.monotonic()
     distill_every = problem.guided[1].distill_every if problem.guided else 1
-    rays_a_step = config.rays + ranks.world_size * losses_of.depth_patches * losses_of.depth_patch_size**2
+    rays_a_step = config.rays + ranks.world_size * config.depth_patches * config.depth_patch_size**2
     while (step := optimizer.steps) < config.steps:
         stopped: InterruptedRun | None = None
         try:

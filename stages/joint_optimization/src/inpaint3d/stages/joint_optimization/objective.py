@@ -44,7 +44,7 @@ def step_terms(
     Reconstruction sees known pixels alone (L2). The regularisers see every ray of the step, masked ones and those of
     the distilled hole too (L7): their means are over all of them. A term of weight 0 is not computed.
     """
-    losses = config.losses
+    weights = config.loss_weights
     known, total = len(batch.target), len(batch.rays.origins)
     background = batch.target.new_full((total, 3), BACKGROUND)
     if generator is not None:
@@ -57,24 +57,22 @@ def step_terms(
         anneal=anneal,
         near_gradient=config.optimizer.near_gradient,
     )
-    terms: Terms = {
-        "reconstruction": losses.reconstruction_weight * charbonnier(seen.rgb[:known] - batch.target).mean()
-    }
+    terms: Terms = {"reconstruction": weights.reconstruction * charbonnier(seen.rgb[:known] - batch.target).mean()}
     share = distilled.rays / (total + distilled.rays) if distilled else 0.0
-    if losses.interlevel_weight:
+    if weights.interlevel:
         here = interlevel_loss(seen)
         both = here if distilled is None else (1 - share) * here + share * distilled.interlevel
-        terms["interlevel"] = losses.interlevel_weight * both
-    if losses.distortion_weight:
+        terms["interlevel"] = weights.interlevel * both
+    if weights.distortion:
         here = distortion_loss(seen)
         both = here if distilled is None else (1 - share) * here + share * distilled.distortion
-        terms["distortion"] = losses.distortion_weight * both
-    if losses.line_of_sight_weight and len(batch.distance):
-        terms["line_of_sight"] = losses.line_of_sight_weight * line_of_sight_loss(seen, batch.sighted, batch.distance)
-    if losses.depth_weight:
+        terms["distortion"] = weights.distortion * both
+    if weights.line_of_sight and len(batch.distance):
+        terms["line_of_sight"] = weights.line_of_sight * line_of_sight_loss(seen, batch.sighted, batch.distance)
+    if weights.depth:
         p, h, w = batch.patches
         depth, rgb = seen.depth[-p * h * w :].reshape(p, h, w), seen.rgb[-p * h * w :].reshape(p, h, w, 3)
-        terms["depth"] = losses.depth_weight * depth_smoothness_loss(depth, rgb)
+        terms["depth"] = weights.depth * depth_smoothness_loss(depth, rgb)
     if distilled is not None and weight > 0:
         terms["distillation"] = weight * distilled.surrogate
     return terms
@@ -82,7 +80,7 @@ def step_terms(
 
 def decay_term(field: RadianceField, config: Config) -> Terms:
     """What the optimiser descends beside the terms of a step (N9), as a term."""
-    return {"hash_decay": config.losses.hash_decay_weight * hash_decay(field)}
+    return {"hash_decay": config.loss_weights.hash_decay * hash_decay(field)}
 
 
 def gradient_norms(field: RadianceField, terms: Mapping[str, Tensor]) -> dict[str, float]:
