@@ -42,8 +42,9 @@ check: .venv/.installed ## formatting, lint, types, import contracts, schema dri
 	.venv/bin/lint-imports
 	.venv/bin/python -m inpaint3d.contracts.schemas --check
 
-schemas: .venv/.installed ## write schemas/ from the models
+schemas: .venv/.installed ## write schemas/ from the models, and golden instances of versions that have none
 	.venv/bin/python -m inpaint3d.contracts.schemas
+	.venv/bin/python -m tests.contracts.make_golden
 
 format: .venv/.installed ## format and fix what can be fixed
 	.venv/bin/ruff format .
