@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo test test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint clean
+.PHONY: demo docs lock test test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -17,8 +17,11 @@ $(UV):
 	$(UV_HOME)/bin/pip install --quiet uv
 
 .venv/.installed: $(UV) pyproject.toml uv.lock $(wildcard lib/*/pyproject.toml stages/*/pyproject.toml orchestrator/pyproject.toml) $(shell find lib/kernels -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt')
-	$(UV) sync --locked
+	$(UV) sync --locked --all-packages
 	@touch $@
+
+lock: $(UV) ## write uv.lock anew after a pyproject.toml has changed
+	$(UV) lock
 
 install: .venv/.installed ## the locked environment in .venv
 
@@ -39,8 +42,9 @@ check: .venv/.installed ## formatting, lint, types, import contracts, schema dri
 	.venv/bin/lint-imports
 	.venv/bin/python -m inpaint3d.contracts.schemas --check
 
-schemas: .venv/.installed ## write schemas/ from the models
+schemas: .venv/.installed ## write schemas/ from the models, and golden instances of versions that have none
 	.venv/bin/python -m inpaint3d.contracts.schemas
+	.venv/bin/python -m tests.contracts.make_golden
 
 format: .venv/.installed ## format and fix what can be fixed
 	.venv/bin/ruff format .
@@ -48,6 +52,16 @@ format: .venv/.installed ## format and fix what can be fixed
 
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
 	.venv/bin/python containers/build.py $(BUILD)
+
+# An environment of its own: what builds the site is no part of the product.
+DOCS_ENV := .cache/docs-env
+$(DOCS_ENV)/.installed: $(UV) pyproject.toml uv.lock
+	UV_PROJECT_ENVIRONMENT=$(abspath $(DOCS_ENV)) $(UV) sync --locked --only-group docs
+	@touch $@
+
+docs: $(DOCS_ENV)/.installed ## the documentation as a site in .cache/site
+	NO_MKDOCS_2_WARNING=1 $(DOCS_ENV)/bin/mkdocs build --quiet --strict
+	@echo "open .cache/site/index.html"
 
 # The peer lives in an environment of its own: nerfstudio pins what the product must not.
 PEER_ENV := .cache/radiance-peer

@@ -4,7 +4,8 @@
                                [--variant cpu|cuda] [-- BUILDER OPTIONS]
 
 `buildah` does the work; what follows `--` is handed to it. Images are called PREFIX/inpaint3d/NAME:REVISION. The stages
-with torch stand on one image, built before them where there is none of the same lock: their Containerfiles name it.
+with torch stand on one image, built before them where there is none of the same lock. All stages are built from one
+Containerfile; its arguments are told from the lock.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import tomllib
 from pathlib import Path
 
 import yaml
+from packaging.markers import Marker
 
 from inpaint3d.contracts.canonical import digest_of, file_digest
 from inpaint3d.contracts.cluster import ImagesSpec
@@ -24,9 +26,11 @@ from inpaint3d.contracts.stage import load_stage
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-TORCH = "torch"
+TORCH, ORCHESTRATOR, KERNELS = "torch", "orchestrator", "inpaint3d-kernels"
 BUILDS = "image-builds.json"
-ON_TORCH = f"ARG BASE=localhost/inpaint3d/{TORCH}\n"
+IMAGE_MACHINE = {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix",
+                 "python_full_version": "3.12.1", "python_version": "3.12", "platform_machine": "x86_64",
+                 "implementation_name": "cpython"}  # fmt: skip
 
 
 def main() -> None:
@@ -61,13 +65,47 @@ def main() -> None:
 
 
 def stages() -> list[str]:
-    """Every image that somebody runs: those of the stages, and the orchestrator's."""
-    return sorted(path.stem for path in HERE.glob("*.Containerfile") if path.stem != TORCH)
+    """Every image that somebody runs: those of the stages, by their folders, and the orchestrator's."""
+    folders = (path.parent.name for path in ROOT.glob("stages/*/stage.yaml"))
+    return sorted([*(name.replace("_", "-") for name in folders), ORCHESTRATOR])
+
+
+def containerfile(name: str) -> str:
+    """The file that an image is built from, in this folder."""
+    return f"{name if name in (TORCH, ORCHESTRATOR) else 'stage'}.Containerfile"
+
+
+def distributions(package: str) -> set[str]:
+    """Every distribution that `uv sync --package PACKAGE` installs in an image, told from the lock."""
+    locked = {p["name"]: p for p in tomllib.loads((ROOT / "uv.lock").read_text())["package"]}
+    waiting: list[tuple[str, str | None]] = [(package, None)]
+    found: set[tuple[str, str | None]] = set()
+    while waiting:
+        if (item := waiting.pop()) in found:
+            continue
+        found.add(item)
+        name, extra = item
+        entry = locked[name]
+        needs = entry.get("dependencies", []) if extra is None else entry["optional-dependencies"].get(extra, [])
+        for need in needs:
+            if "marker" not in need or Marker(need["marker"]).evaluate(IMAGE_MACHINE):
+                waiting += [(need["name"], e) for e in (None, *need.get("extra", ()))]
+    return {name for name, _ in found}
 
 
 def on_torch(name: str) -> bool:
-    """Whether an image's own Containerfile says that it stands on the one with torch."""
-    return ON_TORCH in (HERE / f"{name}.Containerfile").read_text()
+    """Whether an image stands on the one with torch: its package needs torch."""
+    return TORCH in distributions(f"inpaint3d-{name}")
+
+
+def arguments_of(name: str, base: str, variant: str) -> dict[str, str]:
+    """The build arguments of an image."""
+    if name == TORCH:
+        return {"BASE": base, "VARIANT": variant}
+    if name == ORCHESTRATOR:
+        return {"BASE": base}
+    kernels = "yes" if KERNELS in distributions(f"inpaint3d-{name}") else "no"
+    return {"STAGE": name, "BASE": base, "KERNELS": kernels}
 
 
 def torch_version(given: argparse.Namespace) -> str:
@@ -93,11 +131,11 @@ def build(name: str, tag: str, base: str, revision: str, given: argparse.Namespa
         **({"org.opencontainers.image.source": given.source} if given.source else {}),
         **contract_labels(name),
     }
-    arguments = {"BASE": base, **({"VARIANT": given.variant} if name == TORCH else {})}
+    arguments = arguments_of(name, base, given.variant)
     line = ["buildah", "build", "--layers"]
     line += [part for key, value in arguments.items() for part in ("--build-arg", f"{key}={value}")]
     line += [part for key, value in labels.items() for part in ("--label", f"{key}={value}")]
-    line += [*given.options, "--tag", tag, "--file", f"containers/{name}.Containerfile", "."]
+    line += [*given.options, "--tag", tag, "--file", f"containers/{containerfile(name)}", "."]
     subprocess.run(line, cwd=ROOT, check=True)
 
 

@@ -18,7 +18,7 @@ def main() -> None:
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
     with tempfile.TemporaryDirectory() as folder:
         store = Store(Path(folder))
-        for last in ("evaluation", "usd-export"):
+        for last in (node for node in pipeline.order if not pipeline.downstream(node)):
             upstream = Upstream(pipeline, last, store)
             result = invoke(pipeline.stages[last], store, upstream.inputs_of(last), stub=True)
             produced = [*upstream.produced.values(), *result.outputs.values(), _corpus(store), _pipeline(store)]

@@ -20,7 +20,7 @@ from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Inpain
 from inpaint3d.contracts.pipeline import Pipeline
 from inpaint3d.contracts.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store, open_store
-from inpaint3d.orchestrator import cluster_cli, housekeeping
+from inpaint3d.orchestrator import cluster_cli, dev_cli, housekeeping
 from inpaint3d.orchestrator import compare as comparison
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, figures_of, scenes_in, table_of
 from inpaint3d.orchestrator.history import History
@@ -413,4 +413,5 @@ def publish_again(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE
 
 
 app.add_typer(cluster_cli.emit_app, name="emit")
+app.add_typer(dev_cli.dev_app, name="dev")
 cluster_cli.add_to(app)

@@ -5,8 +5,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from inpaint3d.diffusion.denoiser import Image, Mask
 from inpaint3d.diffusion.fill import fill_telea, pyramid_fill
-from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
+from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.samplers import inpaint
 
 

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
+from inpaint3d.diffusion.denoiser import Image, Mask
+from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.training import Batch, denoising_loss
 
 

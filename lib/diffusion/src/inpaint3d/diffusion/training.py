@@ -18,8 +18,9 @@ from torch import Tensor
 
 from inpaint3d.contracts.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
+from inpaint3d.diffusion.denoiser import Image, Mask
 from inpaint3d.diffusion.parallel import average_over_ranks
-from inpaint3d.diffusion.prior import Image, InpaintingPrior, Mask
+from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.schedules import scheduled
 
 
