@@ -7,7 +7,7 @@ import pytest
 from containers.build import others_packages
 from packaging.markers import Marker
 
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.models.stage import load_stage
 from tests.conftest import REPOSITORY
 
 LINUX = {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", "python_full_version": "3.12.1",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.models.artifacts import (
     DiffusionPrior,
     Effect,
     EffectPlan,
@@ -18,8 +18,8 @@ from inpaint3d.contracts.artifacts import (
     PriorSpec,
     Registration,
 )
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.scene.capture_io import write_points, write_view
@@ -41,7 +41,7 @@ def prior_spec() -> PriorSpec:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:

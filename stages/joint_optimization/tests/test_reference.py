@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.joint_optimization.appearance import Recolour

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from inpaint3d.contracts.model import Closed, Finite, Positive, Share
+from inpaint3d.contracts.models.base import Closed, Finite, Positive, Share
 from inpaint3d.radiance.sizing import Architecture
 
 Count = Annotated[int, Field(ge=1)]

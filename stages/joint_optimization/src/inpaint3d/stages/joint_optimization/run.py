@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.low_rank import LowRankCopy
 from inpaint3d.diffusion.prior import InpaintingPrior
