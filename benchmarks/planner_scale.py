@@ -10,15 +10,15 @@ import tempfile
 import time
 from pathlib import Path
 
-from inpaint3d.contracts.canonical import digest_of
-from inpaint3d.contracts.cluster import Image
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.models.canonical import digest_of
+from inpaint3d.contracts.models.cluster import Image
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore, Record, Store
 from inpaint3d.orchestrator.history import History, this_machine
 from inpaint3d.orchestrator.plan import Planner, Selection, preview
 
 
-class MemoryStore(Store):
+class MemoryStore(FolderStore):
     """Documents in a dictionary; every artifact counts as whole. What is left is the planner's own cost."""
 
     def __init__(self, root: Path) -> None:
@@ -37,7 +37,7 @@ class MemoryStore(Store):
         self.requests += 1
         return []
 
-    def whole(self, digest: str) -> bool:  # noqa: ARG002
+    def is_whole(self, digest: str) -> bool:  # noqa: ARG002
         self.requests += 2  # a bucket's manifest and listing
         return True
 

@@ -10,7 +10,7 @@ import argparse
 import json
 from pathlib import Path
 
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 
 ROOT = Path(__file__).resolve().parents[1]
 HOUR = 3600.0

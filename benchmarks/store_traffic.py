@@ -10,12 +10,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.orchestrator.history import History
 
 
 def main(place: str, name: str) -> None:
-    store = Store(Path(place))
+    store = FolderStore(Path(place))
     run = History(store).latest(name)
     rows: list[dict[str, Any]] = []
     for node in run.nodes:

@@ -19,10 +19,10 @@ from pathlib import Path
 import yaml
 from packaging.markers import Marker
 
-from inpaint3d.contracts.canonical import digest_of, file_digest
-from inpaint3d.contracts.cluster import ImagesSpec
-from inpaint3d.contracts.documents import load_document
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.models.canonical import digest_of, file_digest
+from inpaint3d.contracts.models.cluster import ImagesSpec
+from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.stage import load_stage
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.models.artifacts import (
     DiffusionPrior,
     Effect,
     EffectPlan,
@@ -13,8 +13,8 @@ from inpaint3d.contracts.artifacts import (
     PriorSpec,
     Registration,
 )
-from inpaint3d.contracts.artifacts.completion import SOURCE_CODES
-from inpaint3d.contracts.model import Digest
+from inpaint3d.contracts.models.artifacts.completion import SOURCE_CODES
+from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.store import Store
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.prior import InpaintingPrior

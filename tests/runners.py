@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from inpaint3d.contracts.cluster import ImagesSpec
-from inpaint3d.contracts.documents import load_document
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.cluster import ImagesSpec
+from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.pipeline import Pipeline
 from tests.conftest import REPOSITORY
 
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")

@@ -54,11 +54,11 @@ from benchmarks.joint.rows import (
 )
 from benchmarks.provenance import commit
 
-from inpaint3d.contracts.artifacts import Evaluation
-from inpaint3d.contracts.context import Inputs
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.shim import Invocation
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.models.artifacts import Evaluation
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.history import History, this_machine
 from inpaint3d.orchestrator.parameters import resolved
 
@@ -85,7 +85,7 @@ class Bench:
 
     def __init__(self, scene: str, capture: Path, mask: Path, work: Path, *, quick: bool, threads: int) -> None:
         self.scene, self.work, self.threads = scene, work, threads
-        self.pipeline, self.store = Pipeline(REPOSITORY / "pipeline.yaml"), Store(work / "store")
+        self.pipeline, self.store = Pipeline(REPOSITORY / "pipeline.yaml"), FolderStore(work / "store")
         self.changes: dict[str, Parameters] = QUICK if quick else {}
         settings = [f"{node}.{n}={v}" for node, p in self.changes.items() for n, v in p.items()]
         self.outputs: dict[str, str] = {}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from inpaint3d.contracts.context import Inputs
+from inpaint3d.contracts.kit.context import Inputs
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.rays import Rays, camera_rays

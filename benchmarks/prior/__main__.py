@@ -34,8 +34,8 @@ import torch
 from benchmarks.provenance import REPOSITORY, commit
 from torch import Tensor
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus
-from inpaint3d.contracts.store import artifact_in
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus
+from inpaint3d.contracts.store import load_artifact
 from inpaint3d.diffusion.io import load_prior
 from inpaint3d.diffusion.judging import fill_batch_telea, hole_psnr, to_bytes
 from inpaint3d.diffusion.masks import random_masks
@@ -61,9 +61,9 @@ Fill = Callable[[Tensor, Tensor], Tensor]
 def main() -> None:
     options = arguments()
     torch.set_num_threads(options.threads)
-    artifact = artifact_in(options.prior, "diffusion-prior@1", DiffusionPrior)
+    artifact = load_artifact(options.prior, "diffusion-prior@1", DiffusionPrior)
     prior = load_prior(artifact.path(artifact.metadata.weights), artifact.metadata.spec)
-    corpus = artifact_in(options.corpus, "image-corpus@1", ImageCorpus)
+    corpus = load_artifact(options.corpus, "image-corpus@1", ImageCorpus)
     held_out = [corpus.path(p.path) for p in corpus.metadata.pictures if p.split == "test"][: options.count]
     truth = torch.stack([middle_square(path, prior.spec.size) for path in held_out])
     judge = Judge(truth)

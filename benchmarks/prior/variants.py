@@ -22,8 +22,8 @@ import torch.nn.functional as F
 from benchmarks.prior.__main__ import Judge
 from benchmarks.provenance import REPOSITORY, commit
 
-from inpaint3d.contracts.artifacts import ImageCorpus, PriorSpec
-from inpaint3d.contracts.store import artifact_in
+from inpaint3d.contracts.models.artifacts import ImageCorpus, PriorSpec
+from inpaint3d.contracts.store import load_artifact
 from inpaint3d.diffusion.judging import fills
 from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
 from inpaint3d.diffusion.training import Batch, begin, denoising_loss, step_generators, train_step
@@ -59,7 +59,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    corpus = artifact_in(options.corpus, "image-corpus@1", ImageCorpus)
+    corpus = load_artifact(options.corpus, "image-corpus@1", ImageCorpus)
     training, held_out = corpus_pictures(corpus), corpus_pictures(corpus, "test")
     config = Config(masks=MaskMix(rectangles=0.3, strokes=0.3, blobs=0.4, own=0.0), crop_share=(0.25, 1.0), exam=96)
     # Cut once, at the largest size, and reduced for those that are smaller.

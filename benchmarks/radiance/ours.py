@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from benchmarks.radiance import scene as scenes
 
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto

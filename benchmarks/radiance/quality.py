@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.provenance import REPOSITORY, commit
 from benchmarks.radiance import scene as scenes
 
-from inpaint3d.contracts.artifacts import PosedCapture, RadianceFieldArtifact
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.perception import lpips
 from inpaint3d.radiance.io import load_field
@@ -37,7 +37,7 @@ def measure(capture: Path, folder: Path, preset: str) -> dict[str, Any]:
     """Run the stages over a capture and score what they made."""
     scenes.run_until("nerf-pretraining", capture, REPOSITORY, folder, preset=preset)
     stages = scenes.stages(folder)
-    store, took = Store(folder / "store"), stages["nerf-pretraining"]
+    store, took = FolderStore(folder / "store"), stages["nerf-pretraining"]
     artifact = store.open(took["outputs"]["radiance-field"], RadianceFieldArtifact)
     record = store.lookup(took["key"])
     if record is None:

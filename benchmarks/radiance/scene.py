@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import EffectPlan, PosedCapture
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import EffectPlan, PosedCapture
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.radiance.sightings import Sightings
 from inpaint3d.scene.capture_io import View, load_points, load_posed
 
@@ -53,7 +53,7 @@ def stages(folder: Path) -> dict[str, dict[str, Any]]:
 def load(folder: Path) -> Scene:
     """The scene that `run_until` left in a folder."""
     found = {node: stage["outputs"] for node, stage in stages(folder).items()}
-    store = Store(folder / "store")
+    store = FolderStore(folder / "store")
     posed = store.open(found["pose-estimation"]["posed-capture"], PosedCapture)
     frames = load_posed(posed)
     views = sorted(frames, key=lambda view: view.name)

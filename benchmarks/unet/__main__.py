@@ -36,8 +36,8 @@ from benchmarks.provenance import REPOSITORY, commit
 from diffusers.models.unets.unet_2d import UNet2DModel
 from torch import Tensor, nn
 
-from inpaint3d.contracts.artifacts import ImageCorpus, PriorSpec
-from inpaint3d.contracts.store import artifact_in
+from inpaint3d.contracts.models.artifacts import ImageCorpus, PriorSpec
+from inpaint3d.contracts.store import load_artifact
 from inpaint3d.diffusion.prior import InpaintingPrior, input_channels
 from inpaint3d.diffusion.runtimes import export_onnx, load_onnx
 from inpaint3d.diffusion.training import Batch, TrainingState, begin, denoising_loss, step_generators, train_step
@@ -218,7 +218,7 @@ def _batch_cpu_s(cropper: Cropper, pictures: list[StoredPicture], repeats: int =
 
 def learning(spec: PriorSpec, folder: Path, cpu_seconds: float) -> Figures:
     """Held-out loss of ours and of the peers after the same CPU seconds on the same pictures."""
-    corpus = artifact_in(folder, "image-corpus@1", ImageCorpus)
+    corpus = load_artifact(folder, "image-corpus@1", ImageCorpus)
     config = Config(masks=MaskMix(rectangles=0.3, strokes=0.3, blobs=0.4, own=0.0), exam=64)
     lesson = lesson_of(config, spec, corpus_pictures(corpus), corpus_pictures(corpus, "test"))
     states = {name: state_of(spec, network) for name, network in contenders(spec).items()}

@@ -1,8 +1,8 @@
-from inpaint3d.contracts.artifacts import Source
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.report import Machine, NodeRun, RunRecord
-from inpaint3d.contracts.stage import Tolerance
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
+from inpaint3d.contracts.models.stage import Tolerance
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.orchestrator.compare import compare
 from inpaint3d.orchestrator.plan import find_pipeline
 
@@ -28,7 +28,7 @@ def run(digest, seed=0):
 
 
 def test_files_that_differ_are_named(tmp_path):
-    one, two = Store(tmp_path / "one"), Store(tmp_path / "two")
+    one, two = FolderStore(tmp_path / "one"), FolderStore(tmp_path / "two")
     a, b = source(one, "a"), source(two, "b")
     (row,) = compare(PIPELINE, one, run(a), two, run(b))
     assert (row.verdict, row.detail) == ("differs", "1 of 2 files: a.txt")
@@ -39,7 +39,7 @@ def test_files_that_differ_are_named(tmp_path):
 
 
 def test_what_a_stage_declares_may_differ(tmp_path, monkeypatch):
-    store = Store(tmp_path)
+    store = FolderStore(tmp_path)
     a, b = source(store, "a"), source(store, "b")
     stage = PIPELINE.stages[NODE]
     loose = stage.spec.model_copy(update={"determinism": Tolerance(tolerance="the last bit")})

@@ -1,8 +1,8 @@
 import pytest
 
-from inpaint3d.contracts.artifacts import Source
 from inpaint3d.contracts.errors import RetryableError
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.housekeeping import collect
 
 KEY = "sha256:" + "a" * 64
@@ -18,22 +18,22 @@ def committed(store):
 
 
 def test_nothing_goes_while_the_store_is_in_use(tmp_path):
-    store = Store(tmp_path)
+    store = FolderStore(tmp_path)
     digest, work = committed(store), store.work_folder(KEY)
-    with Store(tmp_path).in_use(), store.in_use(), pytest.raises(RetryableError, match="a run is using"):
+    with FolderStore(tmp_path).shared(), store.shared(), pytest.raises(RetryableError, match="a run is using"):
         collect(store, keep=1, dry_run=False)
     assert store.lookup(KEY) is not None
     assert work.is_dir()
     collect(store, keep=1, dry_run=False)
-    assert not store.present(digest)
+    assert not store.is_present(digest)
     assert store.lookup(KEY) is None
     assert not work.exists()
 
 
 def test_the_store_is_free_again_when_its_user_is_gone(tmp_path):
-    store = Store(tmp_path)
-    with store.in_use():
+    store = FolderStore(tmp_path)
+    with store.shared():
         pass
-    with store.alone():
+    with store.exclusive():
         pass
     collect(store, keep=1, dry_run=True)

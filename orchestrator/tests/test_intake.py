@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from inpaint3d.contracts.artifacts import DiffusersPipeline
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.orchestrator.foreign import pipeline_folder
 from inpaint3d.orchestrator.intake import take_capture, take_externals, take_pipeline
 
@@ -16,7 +16,7 @@ INDEX = {"_class_name": "StableDiffusionInpaintPipeline", "unet": ["diffusers", 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 
 STAGE = """
 apiVersion: inpaint3d/v1

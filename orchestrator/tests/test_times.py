@@ -1,7 +1,7 @@
 """The page of times: what each stage cost, and what stopping earlier would have cost."""
 
-from inpaint3d.contracts.report import Machine, NodeRun, RunRecord
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
+from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.times import times_page
 
 KEY = "sha256:" + "a" * 64
@@ -9,7 +9,7 @@ MACHINE = Machine(processor="P", cores=2, memory_bytes=2**33, python="3.12")
 
 
 def page(tmp_path, series, non_finite=None):
-    store = Store(tmp_path / "store")
+    store = FolderStore(tmp_path / "store")
     store.commit(
         Record(key=KEY, stage="s@1", components={}, outputs={}, provenance={}, timings={"series": {"curve": series}})
     )

@@ -16,7 +16,7 @@ from benchmarks.joint.rows import (
     spread,
 )
 
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.parameters import resolved
 from tests.conftest import REPOSITORY
 

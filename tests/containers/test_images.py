@@ -10,7 +10,7 @@ import tomllib
 import pytest
 from containers.build import TORCH, arguments_of, containerfile, distributions, on_torch, others_packages, stages
 
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.models.stage import load_stage
 from tests.conftest import REPOSITORY
 
 FOLDER = REPOSITORY / "containers"

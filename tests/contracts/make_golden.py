@@ -6,18 +6,18 @@ The instances are what the stubs write. One that is there is never touched: it s
 import tempfile
 from pathlib import Path
 
-from inpaint3d.contracts.artifacts import DiffusersPipeline, ImageCorpus
-from inpaint3d.contracts.manifest import MANIFEST
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.store import Store
-from inpaint3d.contracts.suite import Upstream, invoke
+from inpaint3d.contracts.kit.suite import Upstream, invoke
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus
+from inpaint3d.contracts.models.manifest import MANIFEST
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore, Store
 from tests.conftest import REPOSITORY
 
 
 def main() -> None:
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
     with tempfile.TemporaryDirectory() as folder:
-        store = Store(Path(folder))
+        store = FolderStore(Path(folder))
         for last in (node for node in pipeline.order if not pipeline.downstream(node)):
             upstream = Upstream(pipeline, last, store)
             result = invoke(pipeline.stages[last], store, upstream.inputs_of(last), stub=True)

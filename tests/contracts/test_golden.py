@@ -6,8 +6,8 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from inpaint3d.contracts.artifacts import SCHEMAS
-from inpaint3d.contracts.manifest import Manifest, read_metadata
+from inpaint3d.contracts.models.artifacts import SCHEMAS
+from inpaint3d.contracts.models.manifest import Manifest, read_metadata
 from tests.conftest import REPOSITORY
 
 SCHEMA_FOLDER = REPOSITORY / "schemas" / "artifacts"

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.dev_cli import new_stage, register_schema, wire
 from tests.conftest import REPOSITORY
 
@@ -75,14 +75,14 @@ def test_a_schema_is_named_three_times(tmp_path):
     registry = tmp_path / "inpaint3d" / "contracts" / "artifacts" / "__init__.py"
     registry.parent.mkdir(parents=True)
     registry.write_text(
-        "from inpaint3d.contracts.artifacts.a import (\n    A,\n)\nfrom inpaint3d.contracts.model import Closed\n\n"
+        "from inpaint3d.contracts.models.artifacts.a import (\n    A,\n)\nfrom inpaint3d.contracts.models.base import Closed\n\n"
         'SCHEMAS: dict[str, tuple[str, type[Closed]]] = {\n    "a": ("1.0", A),\n}\n\n__all__ = [\n    "A",\n]\n'
     )
     register_schema(registry, "relit_views", "RelitViews", "relit-views")
     assert registry.read_text() == (
-        "from inpaint3d.contracts.artifacts.a import (\n    A,\n)\n"
-        "from inpaint3d.contracts.artifacts.relit_views import RelitViews\n"
-        "from inpaint3d.contracts.model import Closed\n\n"
+        "from inpaint3d.contracts.models.artifacts.a import (\n    A,\n)\n"
+        "from inpaint3d.contracts.models.artifacts.relit_views import RelitViews\n"
+        "from inpaint3d.contracts.models.base import Closed\n\n"
         'SCHEMAS: dict[str, tuple[str, type[Closed]]] = {\n    "a": ("1.0", A),\n    "relit-views": ("1.0", RelitViews),\n}\n\n'
         '__all__ = [\n    "A",\n    "RelitViews",\n]\n'
     )

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import Capture
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import Capture
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
 
@@ -53,7 +53,7 @@ def test_captures_that_cannot_be_read(cli, tmp_path, spoil, count, says):
     for words in says:
         assert words in result.stderr
     assert str(cli.store) not in result.stderr, "the file to repair is the user's, not the store's copy"
-    assert list(Store(cli.store).records()) == []
+    assert list(FolderStore(cli.store).records()) == []
 
 
 def test_pictures_of_different_sizes_are_carried_as_they_are(cli, tmp_path):
@@ -61,8 +61,8 @@ def test_pictures_of_different_sizes_are_carried_as_they_are(cli, tmp_path):
     write_png(tmp_path / "tiny" / "view_003.png", np.rot90(SCENE.images[3])[::2, ::2])
     result = cli("run", str(tmp_path / "tiny"), "--only", "capture-ingest")
     assert result.returncode == 0, result.stderr
-    (record,) = Store(cli.store).records()
-    frames = Store(cli.store).open(record.outputs["capture"], Capture).metadata.frames
+    (record,) = FolderStore(cli.store).records()
+    frames = FolderStore(cli.store).open(record.outputs["capture"], Capture).metadata.frames
     assert [(f.width, f.height) for f in frames] == [(48, 36)] * 3 + [(18, 24)]
 
 
@@ -83,7 +83,7 @@ def test_photos_of_unrelated_scenes(cli, tmp_path):
     result = cli("run", str(folder), "--until", "pose-estimation")
     assert result.returncode == 3, result.stderr
     assert "pose-estimation failed" in result.stderr
-    assert not any(r.stage.startswith("pose-estimation") for r in Store(cli.store).records())
+    assert not any(r.stage.startswith("pose-estimation") for r in FolderStore(cli.store).records())
 
 
 @pytest.mark.slow

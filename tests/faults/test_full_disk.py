@@ -4,19 +4,19 @@ import json
 import resource
 import subprocess
 
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.shim import Invocation
-from inpaint3d.contracts.store import Store
-from inpaint3d.contracts.suite import command, external_artifacts
+from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.suite import build_command, store_externals
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore
 from tests.conftest import REPOSITORY
 
 
 def test_no_room_for_an_artifact(tmp_path):
     """A limit on the size of files is the full disk that a test can have without being root."""
     spec = Pipeline(REPOSITORY / "pipeline.yaml").stages["capture-ingest"]
-    store = Store(tmp_path / "store")
-    source = external_artifacts(store)["external.capture"]
-    line = command(spec, store, Invocation(inputs={"source": source}, stub=True))
+    store = FolderStore(tmp_path / "store")
+    source = store_externals(store)["external.capture"]
+    line = build_command(spec, store, Invocation(inputs={"source": source}, stub=True))
     limit = 1024
     result = subprocess.run(
         line, capture_output=True, text=True, check=False,
@@ -37,7 +37,7 @@ def test_no_room_for_the_capture_itself(cli, capture):
     )
     assert result.returncode == 5, result.stderr
     assert f"no space left writing {cli.store}" in result.stderr
-    store = Store(cli.store)
+    store = FolderStore(cli.store)
     assert list(store.records()) == []
     assert list((store.root / "objects").iterdir()) == []
     assert cli("gc").returncode == 0

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import FolderStore
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -17,9 +17,9 @@ def test_kill_9_then_run_again(cli, capture, seed):
     process.wait()
     result = cli(*arguments)
     assert result.returncode == 0, result.stderr
-    store = Store(cli.store)
+    store = FolderStore(cli.store)
     for record in store.records():
-        assert all(store.damage(d) is None for d in record.outputs.values())
+        assert all(store.find_damage(d) is None for d in record.outputs.values())
     assert cli("verify").returncode == 0
 
 

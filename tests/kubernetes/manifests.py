@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.cluster import ClusterSpec, Image, Scene, Submission
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.cluster import ClusterSpec, Image, Scene, Submission
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.emit.argo import RECORDER, dump, emit
 
 HERE = Path(__file__).parent

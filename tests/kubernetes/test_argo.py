@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.emit.argo import RETRY, checked, dump, emit
 from inpaint3d.orchestrator.emit.check import check
 from tests.conftest import REPOSITORY

@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from inpaint3d.contracts.bucket import BucketStore
-from inpaint3d.contracts.cluster import ClusterSpec, ImagesSpec, Scene, Submission
-from inpaint3d.contracts.documents import load_document, load_yaml
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.suite import Upstream, external_artifacts
+from inpaint3d.contracts.kit.suite import Upstream, store_externals
+from inpaint3d.contracts.models.cluster import ClusterSpec, ImagesSpec, Scene, Submission
+from inpaint3d.contracts.models.documents import load_document, load_yaml
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store.bucket import BucketStore
 from inpaint3d.orchestrator.emit.argo import RECORDER, emit
 from tests.conftest import REPOSITORY
 from tests.kubernetes.jobs import Cluster, job_of
@@ -78,7 +78,7 @@ def store(where, place, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def externals(store):
-    return {r.removeprefix("external."): d for r, d in external_artifacts(store).items()}
+    return {r.removeprefix("external."): d for r, d in store_externals(store).items()}
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_every_image_reads_and_writes_the_bucket(produced, store, images):
         required = {p for p, d in PIPELINE.stages[node].spec.outputs.items() if not d.optional}
         assert {f"{node}.{p}" for p in required} <= set(produced)
     digests = [d for reference, d in produced.items() if not reference.startswith("external.")]
-    assert all(store.damage(d) is None for d in digests)
+    assert all(store.find_damage(d) is None for d in digests)
     built = {image.digest for image in images.values()}
     stubs = [r for r in store.records() if r.components.get("stub") and r.components["code"] in built]
     assert len(stubs) == len(PIPELINE.order)

@@ -4,10 +4,10 @@ import os
 
 import pytest
 
-from inpaint3d.contracts.artifacts import Source
-from inpaint3d.contracts.bucket import BucketStore
-from inpaint3d.contracts.cluster import Scene
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.cluster import Scene
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store.bucket import BucketStore
 from inpaint3d.orchestrator.cluster import prepare, supply_mask
 from inpaint3d.orchestrator.history import History
 from tests.conftest import REPOSITORY

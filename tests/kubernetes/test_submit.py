@@ -6,9 +6,9 @@ import sys
 import pytest
 import yaml
 
-from inpaint3d.contracts.artifacts import Source
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.check import check
 from tests.kubernetes.manifests import DIGEST, TOY, cluster, submission
@@ -44,7 +44,7 @@ def calls(folder):
 
 @pytest.fixture
 def store(tmp_path):
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 def test_submit_applies_the_template_then_creates_the_workflows(store, kubectl):

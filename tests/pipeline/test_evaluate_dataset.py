@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import Capture, Truth
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import Capture, Truth
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, scenes_in, table_of
 from inpaint3d.orchestrator.history import History
 from inpaint3d.scene.image_io import write_mask, write_png
@@ -64,7 +64,7 @@ def test_the_first_forty_files_are_truth_and_never_trained_on(cli, miniature):
     """The layout, read by the stage itself."""
     result = cli("run", str(miniature / "book"), "--name", "book", "--until", "capture-ingest")
     assert result.returncode == 0, result.stderr
-    store = Store(cli.store)
+    store = FolderStore(cli.store)
     outputs = next(n.outputs for n in History(store).latest("book").nodes if n.node == "capture-ingest")
     capture, truth = store.open(outputs["capture"], Capture), store.open(outputs["truth"], Truth)
     assert [f.name for f in capture.metadata.frames] == [f"view_{i:03d}" for i in range(40, 46)]

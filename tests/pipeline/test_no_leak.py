@@ -9,11 +9,11 @@ import shutil
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import MaskSet, PosedCapture
-from inpaint3d.contracts.documents import load_yaml
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.store import Store
-from inpaint3d.contracts.suite import Upstream, invoke
+from inpaint3d.contracts.kit.suite import Upstream, invoke
+from inpaint3d.contracts.models.artifacts import MaskSet, PosedCapture
+from inpaint3d.contracts.models.documents import load_yaml
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.scene.image_io import read_image, read_mask, write_png
 from tests.conftest import REPOSITORY
 
@@ -42,7 +42,7 @@ def repainted(store: Store, posed_digest: str, masks_digest: str) -> str:
 @pytest.mark.slow
 def test_marker_colour_under_the_mask_changes_nothing(tmp_path):
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
-    store = Store(tmp_path / "store")
+    store = FolderStore(tmp_path / "store")
     upstream = Upstream(pipeline, "joint-optimization", store)
     posed, masks = upstream.produced["pose-estimation.posed-capture"], upstream.produced["mask-authoring.mask-set"]
     digests = []

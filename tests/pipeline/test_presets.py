@@ -2,7 +2,7 @@
 
 import pytest
 
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.parameters import resolved
 from inpaint3d.stages.nerf_pretraining.config import Config
 from tests.conftest import REPOSITORY

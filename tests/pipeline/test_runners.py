@@ -7,10 +7,10 @@ import time
 
 import pytest
 
-from inpaint3d.contracts.artifacts import Source
 from inpaint3d.contracts.errors import RetryableError
-from inpaint3d.contracts.stage import memory_bytes
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.stage import memory_bytes
+from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.runners.container import STAGE_USER, take_over
 from tests.conftest import Cli
 from tests.runners import PIPELINE, environment_of
@@ -48,8 +48,8 @@ def test_results_are_the_same_bytes_and_nothing_is_left_behind(any_cli, capture,
     compared = any_cli("compare", "tiny", "tiny", "--other-store", str(process.store))
     assert "equal" in compared.stdout
     assert compared.returncode == 3, "what is behind --until has no result in either"
-    store = Store(any_cli.store)
-    assert all(store.damage(d) is None for d in store.objects())
+    store = FolderStore(any_cli.store)
+    assert all(store.find_damage(d) is None for d in store.objects())
     assert store.names("work") == store.names("tmp") == store.names("quarantine") == []
     assert "nothing to be done" in any_cli(*arguments(capture)).stderr
 
@@ -117,7 +117,7 @@ def test_what_a_container_may_do(engine, capture):
 
 def test_the_image_stands_for_the_code(engine, capture):
     assert engine(*arguments(capture)).returncode == 0
-    assert {r.components["code"] for r in Store(engine.store).records()} == {"sha256:" + "ab" * 32}
+    assert {r.components["code"] for r in FolderStore(engine.store).records()} == {"sha256:" + "ab" * 32}
     rows = json.loads(engine("plan", *arguments(capture)[1:], "--json").stdout)
     assert {r["status"] for r in rows if r["node"] in NODES} == {"cached"}
 
@@ -160,7 +160,7 @@ def test_a_container_that_missed_the_first_sigterm_is_asked_again(engine, captur
 
 
 def test_what_a_container_left_is_believed_only_as_its_digests_say(tmp_path):
-    scratch, store = Store(tmp_path / "scratch"), Store(tmp_path / "store")
+    scratch, store = FolderStore(tmp_path / "scratch"), FolderStore(tmp_path / "store")
     folder = scratch.private_folder()
     (folder / "raw").mkdir()
     (folder / "raw" / "a.txt").write_text("a")

@@ -6,7 +6,7 @@ import shutil
 import jsonschema
 import pytest
 
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.parameters import parameter_schema, resolved
 from tests.conftest import REPOSITORY
 

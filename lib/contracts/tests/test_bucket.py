@@ -6,10 +6,10 @@ import os
 
 import pytest
 
-from inpaint3d.contracts.artifacts import Source
-from inpaint3d.contracts.bucket import PART, BucketStore
 from inpaint3d.contracts.errors import RetryableError, StorageError
+from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.store import Record
+from inpaint3d.contracts.store.bucket import PART, BucketStore
 
 KEY = "sha256:" + "1" * 64
 LARGE = 2 * PART + 1000
@@ -46,7 +46,7 @@ def test_a_large_file_goes_in_parts_each_with_its_sha256(store, network):
     for i in range(3):
         part = base64.b64encode(hashlib.sha256(data[i * PART : (i + 1) * PART]).digest()).decode().lower()
         assert any(f"x-amz-checksum-sha256: {part}" in head for head in parts)
-    assert store.damage(digest) is None
+    assert store.find_damage(digest) is None
 
 
 def test_an_upload_cut_in_its_middle_is_tried_again(store, reader, network):
@@ -63,8 +63,8 @@ def test_an_upload_that_never_gets_through_leaves_nothing_visible_and_says_so(st
     network.cut_uploads = 10**6
     with pytest.raises(RetryableError, match=r"does not answer .* run again"):
         put(store, a=small, b=large)
-    assert not reader.present(digest_of_both := next(iter(store.objects())))
-    assert not reader.whole(digest_of_both)
+    assert not reader.is_present(digest_of_both := next(iter(store.objects())))
+    assert not reader.is_whole(digest_of_both)
     assert RetryableError.exit_code == 75
 
     network.cut_uploads = 0

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inpaint3d.contracts.canonical import canonical_json, digest_of, file_digest, tree_digest
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.canonical import canonical_json, digest_of, file_digest, tree_digest
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

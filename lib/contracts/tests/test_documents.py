@@ -1,10 +1,10 @@
 import pytest
 import yaml
 
-from inpaint3d.contracts import documents
-from inpaint3d.contracts.artifacts import MaskRequest
-from inpaint3d.contracts.documents import load_document, load_yaml
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models import documents
+from inpaint3d.contracts.models.artifacts import MaskRequest
+from inpaint3d.contracts.models.documents import load_document, load_yaml
 
 
 def write(tmp_path, text):

@@ -2,9 +2,9 @@ import importlib.metadata
 
 import pytest
 
-from inpaint3d.contracts import keys
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.kit import keys
+from inpaint3d.contracts.models.stage import StageSpec
 
 SPEC = StageSpec.model_validate(
     {

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from inpaint3d.contracts.artifacts import Effect, EffectPlan, Source
-from inpaint3d.contracts.bucket import BucketStore
 from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, StorageError, from_os_error
-from inpaint3d.contracts.manifest import MANIFEST, Manifest, read_metadata
-from inpaint3d.contracts.store import Record, Store, key_path, object_file, open_store
+from inpaint3d.contracts.models.artifacts import Effect, EffectPlan, Source
+from inpaint3d.contracts.models.manifest import MANIFEST, Manifest, read_metadata
+from inpaint3d.contracts.store import FolderStore, Record, key_path, object_file, open_store
+from inpaint3d.contracts.store.bucket import BucketStore
 
 PLAN = EffectPlan(
     effects=(Effect(name="exposure", state="off", evidence={"ev": 0.01}, reason="still", cost_ratio=1.0),)
@@ -24,18 +24,18 @@ PLAN = EffectPlan(
 @pytest.fixture(params=["folder", "bucket"])
 def store(request, tmp_path):
     if request.param == "folder":
-        return Store(tmp_path / "store")
+        return FolderStore(tmp_path / "store")
     return BucketStore(request.getfixturevalue("bucket"), tmp_path / "cache")
 
 
 @pytest.fixture
 def folder_store(tmp_path):
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 def elsewhere(store, tmp_path, name="another machine"):
     """The same store, as another machine sees it."""
-    return BucketStore(store.place, tmp_path / name) if isinstance(store, BucketStore) else Store(store.root)
+    return BucketStore(store.place, tmp_path / name) if isinstance(store, BucketStore) else FolderStore(store.root)
 
 
 def put(store, text="hello"):
@@ -73,7 +73,7 @@ def test_metadata_of_another_schema_is_refused(store):
 
 
 def test_a_file_that_metadata_names_must_be_there(store):
-    from inpaint3d.contracts.artifacts import Capture, CapturedFrame
+    from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame
 
     frame = CapturedFrame(name="a", path="frames/a.png", width=2, height=2)
     with pytest.raises(ArtifactError, match=r"names frames/a\.png, which was not written"):
@@ -95,10 +95,10 @@ def test_damage_is_found_quarantined_and_named(store, tmp_path, harm):
     else:
         store.write(manifest, store.read(manifest).replace(b'"a"', b'"b"'))
     reader = elsewhere(store, tmp_path)
-    assert reader.damage(digest) is not None
+    assert reader.find_damage(digest) is not None
     with pytest.raises(ArtifactError, match="quarantine"):
         reader.open(digest, Source)
-    assert not store.present(digest)
+    assert not store.is_present(digest)
     assert len(store.names("quarantine")) == 1
     assert put(store) == digest
     assert elsewhere(store, tmp_path).open(digest, Source).path("raw/a.txt").read_text() == "hello"
@@ -125,7 +125,7 @@ def test_a_result_whose_artifact_lost_a_file_is_computed_again(store):
     store.commit(record(KEY, source=digest))
     store.remove(object_file(digest, "raw/a.txt"))
     assert store.lookup(KEY) is None
-    assert not store.present(digest)
+    assert not store.is_present(digest)
 
 
 def test_of_eight_writers_of_a_key_one_wins_and_all_get_its_result(store, tmp_path):
@@ -146,7 +146,7 @@ def test_of_eight_writers_of_a_key_one_wins_and_all_get_its_result(store, tmp_pa
     (winner,) = set(got.values())
     assert store.lookup(KEY).outputs == {"source": winner}
     assert len(list(store.records())) == 1
-    assert store.damage(winner) is None
+    assert store.find_damage(winner) is None
 
 
 def test_documents_are_written_whole_listed_and_retired(store):
@@ -171,7 +171,7 @@ def test_an_artifact_can_be_weighed_and_dropped(store):
     assert store.size(digest) == len(b"hello") + len(store.read(object_file(digest, MANIFEST)))
     store.drop_object(digest)
     assert list(store.objects()) == []
-    assert not store.whole(digest)
+    assert not store.is_whole(digest)
     with pytest.raises(ArtifactError, match="is not in the store"):
         store.manifest(digest)
 
@@ -213,7 +213,7 @@ def test_full_disk_is_a_storage_error_that_names_the_file():
 
 
 def _hold(root: str, ready) -> None:
-    with Store(Path(root)).lock("k"):
+    with FolderStore(Path(root)).lock("k"):
         ready.set()
         time.sleep(60)
 
@@ -242,14 +242,14 @@ def test_private_folders_of_dead_processes_are_swept(folder_store):
 
 def test_adopted_artifact_is_checked(store, tmp_path):
     digest = put(store)
-    elsewhere = Store(tmp_path / "other")
+    elsewhere = FolderStore(tmp_path / "other")
     manifest = store.manifest(digest)
     assert elsewhere.adopt(store.object_path(digest), manifest) == digest
     file = store.object_path(digest) / "raw" / "a.txt"
     file.chmod(0o644)
     file.write_text("hellO")
     with pytest.raises(ArtifactError, match="damaged"):
-        Store(tmp_path / "third").adopt(store.object_path(digest), manifest)
+        FolderStore(tmp_path / "third").adopt(store.object_path(digest), manifest)
 
 
 @pytest.mark.parametrize("place", ["gs://bucket/a", "s3://", "s3://me:secret@bucket/a"])

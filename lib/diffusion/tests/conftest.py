@@ -6,7 +6,7 @@ from jaxtyping import install_import_hook
 
 install_import_hook("inpaint3d.diffusion", "beartype.beartype")
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec  # noqa: E402
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec  # noqa: E402
 
 _TINY = {"size": 16, "width": 8, "multipliers": (1, 2), "blocks": (1, 1), "attention": (False, True)}
 _SHIPPED = {

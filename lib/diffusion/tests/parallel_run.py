@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.masks import random_masks
 from inpaint3d.diffusion.parallel import join_ranks, leave_ranks, own_parts, rank
 from inpaint3d.diffusion.training import Batch, begin, denoising_loss, save_checkpoint, step_generators, train_step

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.fill import pyramid_fill
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.schedules import alpha, per_image, sigma

@@ -1,7 +1,7 @@
 import pytest
 from pydantic import ValidationError
 
-from inpaint3d.contracts.artifacts.prior import DiffusionPrior, PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
 
 
 def test_a_residual_prior_needs_a_fill() -> None:

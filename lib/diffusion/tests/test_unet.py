@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.unet import EfficientUNet, Level, ResidualBlock
 

@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.scene.synthetic import synthetic_scene

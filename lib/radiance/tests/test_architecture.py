@@ -1,6 +1,6 @@
 import pytest
 
-from inpaint3d.contracts.artifacts import Effect, EffectPlan, FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import Effect, EffectPlan, FieldSpec, GridSpec
 from inpaint3d.radiance.architecture import parameter_shapes, planned_spec
 from inpaint3d.radiance.fields import RadianceField
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.artifact import reduced, stub_weights, write_curve, write_view, write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field

@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance.backends import Name, compiled, name_of, select
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import interlevel_loss

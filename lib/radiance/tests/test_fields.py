@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.fields import RadianceField
 

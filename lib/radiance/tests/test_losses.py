@@ -4,7 +4,7 @@ import math
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.backends.reference import outer_measure
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import (

@@ -4,7 +4,7 @@ import sys
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.backends import Name
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import hash_decay
@@ -42,7 +42,7 @@ def test_a_step_imports_no_compiler() -> None:
     """What torch imports for its own optimisers takes a stage seconds."""
     code = """
 import sys, torch
-from inpaint3d.contracts.artifacts import FieldSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.optim import Adam
 field = RadianceField(FieldSpec(), 0)

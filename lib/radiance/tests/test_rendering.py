@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField, Samples
 from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.radiance.rendering import damped, render, render_view

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ArtifactError, Inpaint3dError
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.fitting import LossWeights

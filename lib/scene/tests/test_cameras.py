@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inpaint3d.contracts.artifacts import PosedFrame
+from inpaint3d.contracts.models.artifacts import PosedFrame
 from inpaint3d.scene.cameras import Camera, as_pose, look_at
 
 CAMERA = Camera(100.0, 120.0, 32.0, 20.0, 64, 48, look_at((1.0, -2.0, 0.5), (0.0, 0.1, 0.2)))

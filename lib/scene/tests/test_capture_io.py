@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from inpaint3d.contracts.artifacts import Capture, CapturedFrame, PosedTruth
 from inpaint3d.contracts.errors import ArtifactError, BadInputError
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedTruth
 from inpaint3d.scene.capture_io import (
     captured_image,
     captured_mask,

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context
 from inpaint3d.scene.image_io import read_header, read_image, write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.capture_ingest.config import Config

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import ImageCorpus
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.manifest import MANIFEST, Manifest
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import ImageCorpus
+from inpaint3d.contracts.models.manifest import MANIFEST, Manifest
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.diffusion_training.corpus import write_corpus
 from inpaint3d.stages.diffusion_training.pictures import corpus_pictures
@@ -37,7 +37,7 @@ def test_a_folder_becomes_a_corpus_that_a_run_takes(tmp_path: Path) -> None:
         write_png(tmp_path / "in" / name, GREY)
     (tmp_path / "in" / "notes.md").write_text("left alone")
     write_corpus(tmp_path / "in", tmp_path / "out", held_out=0.0)
-    store = Store(tmp_path / "store")
+    store = FolderStore(tmp_path / "store")
     manifest = Manifest.model_validate_json((tmp_path / "out" / MANIFEST).read_bytes())
     corpus = store.open(store.adopt(tmp_path / "out", manifest), ImageCorpus)
     assert [p.scene for p in corpus.metadata.pictures] == ["a.png", "b.png", "kitchen", "kitchen"]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus
-from inpaint3d.contracts.documents import load_yaml
 from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
-from inpaint3d.contracts.manifest import MANIFEST, Manifest
-from inpaint3d.contracts.store import Store, artifact_in
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus
+from inpaint3d.contracts.models.documents import load_yaml
+from inpaint3d.contracts.models.manifest import MANIFEST, Manifest
+from inpaint3d.contracts.store import FolderStore, load_artifact
 from inpaint3d.diffusion import parallel
 from inpaint3d.diffusion.io import open_prior
 from inpaint3d.scene.image_io import write_png
@@ -52,7 +52,7 @@ def test_torchrun_learns_what_one_process_does(corpus: Path, tmp_path: Path) -> 
 
 def test_what_it_writes_is_a_prior_that_a_run_takes(corpus: Path, tmp_path: Path) -> None:
     pretrain([corpus], tmp_path / "out", Config.model_validate(TINY), seed=0)
-    folder, store = tmp_path / "out" / "prior", Store(tmp_path / "store")
+    folder, store = tmp_path / "out" / "prior", FolderStore(tmp_path / "store")
     digest = store.adopt(folder, Manifest.model_validate_json((folder / MANIFEST).read_bytes()))
     prior = store.open(digest, DiffusionPrior)
     assert prior.metadata.steps == 4
@@ -68,10 +68,12 @@ def test_all_corpora_are_learnt_from(corpus: Path, tmp_path: Path) -> None:
     pretrain([corpus], tmp_path / "one", Config.model_validate(TINY), seed=0)
     pretrain([corpus, tmp_path / "other"], tmp_path / "two", Config.model_validate(TINY), seed=0)
     one, two = (
-        artifact_in(tmp_path / name / "prior", "diffusion-prior@1", DiffusionPrior).metadata for name in ("one", "two")
+        load_artifact(tmp_path / name / "prior", "diffusion-prior@1", DiffusionPrior).metadata
+        for name in ("one", "two")
     )
     pictures = [
-        artifact_in(folder, "image-corpus@1", ImageCorpus).metadata.pictures for folder in (corpus, tmp_path / "other")
+        load_artifact(folder, "image-corpus@1", ImageCorpus).metadata.pictures
+        for folder in (corpus, tmp_path / "other")
     ]
     learnt = [sum(p.split == "train" for p in some) for some in pictures]
     assert one.trained_on == f"{learnt[0]} pictures of an image corpus"
@@ -81,10 +83,10 @@ def test_all_corpora_are_learnt_from(corpus: Path, tmp_path: Path) -> None:
 
 def test_it_goes_on_from_another_priors_weights(corpus: Path, tmp_path: Path) -> None:
     pretrain([corpus], tmp_path / "first", Config.model_validate(TINY), seed=0)
-    first = artifact_in(tmp_path / "first" / "prior", "diffusion-prior@1", DiffusionPrior)
+    first = load_artifact(tmp_path / "first" / "prior", "diffusion-prior@1", DiffusionPrior)
     none = Config.model_validate(TINY | {"steps": 0})
     pretrain([corpus], tmp_path / "second", none, seed=1, start=first.root)
-    second = artifact_in(tmp_path / "second" / "prior", "diffusion-prior@1", DiffusionPrior)
+    second = load_artifact(tmp_path / "second" / "prior", "diffusion-prior@1", DiffusionPrior)
     assert second.metadata.start == first.digest
     assert second.path("weights.safetensors").read_bytes() == first.path("weights.safetensors").read_bytes()
     (first.root / "weights.safetensors").write_bytes(b"torn")

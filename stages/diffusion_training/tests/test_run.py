@@ -14,7 +14,9 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import (
     DiffusionPrior,
     ImageCorpus,
     LensModel,
@@ -23,11 +25,9 @@ from inpaint3d.contracts.artifacts import (
     PosedCapture,
     Registration,
 )
-from inpaint3d.contracts.documents import load_yaml
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.documents import load_yaml
+from inpaint3d.contracts.store import Artifact, FolderStore, Store
 from inpaint3d.diffusion.io import load_prior, open_prior
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import write_mask, write_png
@@ -45,7 +45,7 @@ def room() -> SyntheticScene:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:
@@ -137,14 +137,14 @@ class _StopsAt(io.StringIO):
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(store, inputs, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(f"{MODULE}.teaching.CHECKPOINT_S", 0.0)
-    monkeypatch.setattr("inpaint3d.contracts.context.PROGRESS_INTERVAL_S", 0.0)
+    monkeypatch.setattr("inpaint3d.contracts.kit.context.PROGRESS_INTERVAL_S", 0.0)
     with pytest.raises(InterruptedRun):
         train(store, inputs, _StopsAt(4))
     events = io.StringIO()
     resumed = train(store, inputs, events)
     assert "going on from step 4" in events.getvalue()
 
-    elsewhere = Store(tmp_path / "elsewhere")
+    elsewhere = FolderStore(tmp_path / "elsewhere")
     for digest in inputs.values():
         elsewhere.adopt(store.object_path(digest), store.manifest(digest))
     assert train(elsewhere, inputs).digest == resumed.digest
@@ -155,7 +155,7 @@ def test_killed_without_warning_it_goes_on_to_the_same_bytes(store, inputs, tmp_
     (tmp_path / "invocation.json").write_text(Invocation(inputs=inputs, parameters=plan, threads=1).model_dump_json())
     script = (
         f"import {MODULE}.teaching as teaching; teaching.CHECKPOINT_S = 0\n"
-        f"from inpaint3d.contracts.shim import serve; serve('{MODULE}')"
+        f"from inpaint3d.contracts.kit.shim import serve; serve('{MODULE}')"
     )
     options = ["run", "--store", str(store.root), "--invocation", str(tmp_path / "invocation.json")]
     process = subprocess.Popen([sys.executable, "-c", script, *options], stdout=subprocess.DEVNULL)
@@ -168,7 +168,7 @@ def test_killed_without_warning_it_goes_on_to_the_same_bytes(store, inputs, tmp_
     events = io.StringIO()
     resumed = train(store, inputs, events, **plan)
     assert "going on from step" in events.getvalue()
-    elsewhere = Store(tmp_path / "elsewhere")
+    elsewhere = FolderStore(tmp_path / "elsewhere")
     for digest in inputs.values():
         elsewhere.adopt(store.object_path(digest), store.manifest(digest))
     unbroken = train(elsewhere, inputs, **plan)
@@ -177,7 +177,7 @@ def test_killed_without_warning_it_goes_on_to_the_same_bytes(store, inputs, tmp_
 
 
 def test_threads_on_offer_change_no_byte(store, inputs, tmp_path) -> None:
-    elsewhere = Store(tmp_path / "elsewhere")
+    elsewhere = FolderStore(tmp_path / "elsewhere")
     for digest in inputs.values():
         elsewhere.adopt(store.object_path(digest), store.manifest(digest))
     # At the full size: a tiny network's sums are not split over threads, and could not tell.

@@ -1,3 +1,3 @@
-from inpaint3d.contracts.suite import stage_contract
+from inpaint3d.contracts.kit.suite import stage_contract
 
 TestContract = stage_contract(__file__)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec, RadianceFieldArtifact
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec, RadianceFieldArtifact
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.radiance.fields import RadianceField, Samples
 from inpaint3d.radiance.io import save_field
 from inpaint3d.scene.cameras import Camera, look_at
@@ -45,7 +45,7 @@ class Room(RadianceField):
 
 @pytest.fixture
 def store(tmp_path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 def method(store: Store, label: str, fog: float | None = None) -> Method:

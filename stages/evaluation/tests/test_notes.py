@@ -1,4 +1,4 @@
-from inpaint3d.contracts.artifacts import MaskSet, Protocol
+from inpaint3d.contracts.models.artifacts import MaskSet, Protocol
 from inpaint3d.stages.evaluation.notes import weaknesses
 from inpaint3d.stages.evaluation.scores import metric
 

@@ -1,6 +1,6 @@
 import pytest
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, MaskSet, PriorSpec
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, MaskSet, PriorSpec
 from inpaint3d.stages.evaluation.notes import weaknesses
 from inpaint3d.stages.evaluation.prior import held_out_crops
 

@@ -3,7 +3,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import Protocol
+from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.evaluation.charts import Line, line_chart
 from inpaint3d.stages.evaluation.report import RUN_MARKER, Curve, Report, Strip, stopping_early, write_report

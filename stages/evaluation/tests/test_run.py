@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import (
     Evaluation,
     FieldSpec,
     GridSpec,
@@ -21,9 +23,7 @@ from inpaint3d.contracts.artifacts import (
     RadianceFieldArtifact,
     Registration,
 )
-from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import save_field
 from inpaint3d.scene.capture_io import write_points, write_view
@@ -124,7 +124,7 @@ def scene() -> SyntheticScene:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory) -> Store:
-    return Store(tmp_path_factory.mktemp("store"))
+    return FolderStore(tmp_path_factory.mktemp("store"))
 
 
 @pytest.fixture(scope="module")

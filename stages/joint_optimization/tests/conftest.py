@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import PriorSpec
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.artifacts import PriorSpec
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from tests.room_artifacts import PRIOR, put_masks, put_plan, put_posed, put_prior
 
@@ -25,7 +25,7 @@ def prior_spec() -> PriorSpec:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 @pytest.fixture

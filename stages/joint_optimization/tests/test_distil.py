@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec, PriorSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec, PriorSpec
 from inpaint3d.diffusion.distillation import sds_gradient
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.radiance.fields import RadianceField

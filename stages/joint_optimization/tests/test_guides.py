@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import PriorSpec
+from inpaint3d.contracts.models.artifacts import PriorSpec
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.perception.lpips import load
 from inpaint3d.scene.masked_views import MaskedView

@@ -10,8 +10,8 @@ import pytest
 import torch
 import yaml
 
-from inpaint3d.contracts.context import Inputs
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Store
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
 from inpaint3d.scene.synthetic import SyntheticScene

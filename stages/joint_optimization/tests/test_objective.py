@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.losses import charbonnier, depth_smoothness_loss, distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays

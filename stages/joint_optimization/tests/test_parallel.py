@@ -13,11 +13,11 @@ import torch
 import yaml
 from pydantic import ValidationError
 
-from inpaint3d.contracts.artifacts import RadianceFieldArtifact
-from inpaint3d.contracts.context import Inputs
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import RadianceFieldArtifact
+from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Store
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.optim import Adam, learning_rate

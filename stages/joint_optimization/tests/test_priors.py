@@ -10,12 +10,12 @@ import pytest
 import torch
 import yaml
 
-from inpaint3d.contracts.artifacts import DiffusersPipeline, RadianceFieldArtifact
-from inpaint3d.contracts.context import Inputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline, RadianceFieldArtifact
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.diffusion.loading import load_denoiser
 from inpaint3d.diffusion.pipelines import PipelinePrior

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, PriorSpec, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.stage import load_stage
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, PriorSpec, RadianceFieldArtifact
+from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.loading import load_trained_prior

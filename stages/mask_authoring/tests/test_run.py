@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, WaitingError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import (
     FieldSpec,
     FieldView,
     LensModel,
@@ -19,10 +21,8 @@ from inpaint3d.contracts.artifacts import (
     RadianceFieldArtifact,
     Registration,
 )
-from inpaint3d.contracts.context import Context, Inputs, Outputs
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError, WaitingError
-from inpaint3d.contracts.stage import load_stage
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.models.stage import load_stage
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import read_mask, write_exr, write_mask, write_png
 from inpaint3d.scene.synthetic import BALL_RADIUS, SyntheticScene, arc_cameras, synthetic_scene
@@ -107,7 +107,7 @@ def field(store: Store, scene: SyntheticScene, noise: float = 0.0, opaque: float
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory) -> Bench:
-    store = Store(tmp_path_factory.mktemp("store"))
+    store = FolderStore(tmp_path_factory.mktemp("store"))
     scene = synthetic_scene(views=8, width=160, height=120, arc_deg=160)
     return Bench(store, scene, {"posed-capture": capture(store, scene), "radiance-field": field(store, scene, 0.02)})
 

@@ -10,7 +10,10 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import (
     Effect,
     EffectPlan,
     LensModel,
@@ -18,10 +21,7 @@ from inpaint3d.contracts.artifacts import (
     RadianceFieldArtifact,
     Registration,
 )
-from inpaint3d.contracts.context import Context
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.store import Artifact, Record, Store
+from inpaint3d.contracts.store import Artifact, FolderStore, Record, Store
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.io import load_field
@@ -52,7 +52,7 @@ def scene() -> SyntheticScene:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")
 
 
 def posed(store: Store, scene: SyntheticScene, *, test: tuple[int, ...] = TEST_VIEWS) -> str:
@@ -102,7 +102,7 @@ def curve_of(result: Artifact[RadianceFieldArtifact]) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def fitted(scene: SyntheticScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, Record]:
-    store = Store(tmp_path_factory.mktemp("store"))
+    store = FolderStore(tmp_path_factory.mktemp("store"))
     inputs = {"posed-capture": posed(store, scene), "effect-plan": plan(store, "view-dependence")}
     return store, run(store, inputs, SMALL)
 
@@ -194,7 +194,7 @@ def test_results_do_not_depend_on_the_number_of_threads(store: Store, scene: Syn
     inputs = {"posed-capture": posed(store, scene), "effect-plan": plan(store, "contraction", "view-dependence")}
     weights = []
     for threads in (1, 2):
-        other = Store(store.root.parent / f"threads-{threads}")
+        other = FolderStore(store.root.parent / f"threads-{threads}")
         (other.root / "objects").rmdir()
         (other.root / "objects").symlink_to(store.root / "objects")
         invocation = Invocation(inputs=inputs, parameters=TINY | {"rays": 512, "first_rays": 512}, threads=threads)

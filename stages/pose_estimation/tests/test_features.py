@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from inpaint3d.contracts.context import Context
+from inpaint3d.contracts.kit.context import Context
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, features_of

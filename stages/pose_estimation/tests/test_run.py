@@ -6,10 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import Capture, CapturedFrame, Exif, KnownCamera, PosedCapture, PosedTruth, Truth
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.store import Record, Store
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import (
+    Capture,
+    CapturedFrame,
+    Exif,
+    KnownCamera,
+    PosedCapture,
+    PosedTruth,
+    Truth,
+)
+from inpaint3d.contracts.store import FolderStore, Record, Store
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.geometry import align_points
@@ -69,7 +77,7 @@ def scene() -> SyntheticScene:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    return Store(tmp_path_factory.mktemp("store"))
+    return FolderStore(tmp_path_factory.mktemp("store"))
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import LensModel
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import LensModel
 from inpaint3d.stages.scene_analysis.lens import corner_displacement
 
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts import EffectPlan, LensModel, PosedCapture, Registration
-from inpaint3d.contracts.context import Context, Inputs, Outputs
-from inpaint3d.contracts.stage import load_stage
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import EffectPlan, LensModel, PosedCapture, Registration
+from inpaint3d.contracts.models.stage import load_stage
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.colour import linear_from_srgb, srgb_from_linear
 from inpaint3d.scene.synthetic import synthetic_scene
@@ -22,7 +22,7 @@ ROOM = synthetic_scene(views=10, width=160, height=120, arc_deg=60, points=600)
 
 
 def plan(folder, images=ROOM.images, config=None, xyz=None, lens=PINHOLE, exif=None) -> dict:
-    store = Store(folder / "store")
+    store = FolderStore(folder / "store")
     inner = store.private_folder()
     points = ROOM.points
     if xyz is not None:

@@ -9,7 +9,9 @@ import pytest
 from pxr import Usd, UsdGeom
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import (
     FieldSpec,
     GridSpec,
     LensModel,
@@ -21,9 +23,7 @@ from inpaint3d.contracts.artifacts import (
     Registration,
     UsdScene,
 )
-from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.shim import Invocation, execute
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.radiance.artifact import stub_weights, write_curve
 from inpaint3d.radiance.artifact import write_view as radiance_view
 from inpaint3d.scene.capture_io import write_points, write_view
@@ -109,7 +109,7 @@ def scene() -> SyntheticScene:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory) -> Store:
-    return Store(tmp_path_factory.mktemp("store"))
+    return FolderStore(tmp_path_factory.mktemp("store"))
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom
 
-from inpaint3d.contracts.artifacts import Primitive
+from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.usd_export.layer import Content, Scene, write_layer

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 
 
@@ -13,4 +13,4 @@ def room() -> SyntheticScene:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
-    return Store(tmp_path / "store")
+    return FolderStore(tmp_path / "store")

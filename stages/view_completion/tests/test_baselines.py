@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts.completion import SOURCE_CODES
+from inpaint3d.contracts.models.artifacts.completion import SOURCE_CODES
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.synthetic import SyntheticScene

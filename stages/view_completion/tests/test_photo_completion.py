@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.masked_views import MaskedView

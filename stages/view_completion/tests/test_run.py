@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts import (
     CompletedViews,
     FieldSpec,
     GridSpec,
@@ -16,10 +18,8 @@ from inpaint3d.contracts.artifacts import (
     PaintedViews,
     RadianceFieldArtifact,
 )
-from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.shim import Invocation, execute
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.radiance.artifact import stub_weights, write_curve, write_view
 from inpaint3d.scene.image_io import read_codes, read_exr, read_image, write_mask, write_png

@@ -14,11 +14,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from inpaint3d.contracts.cluster import Image, ImagesSpec
-from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Inpaint3dError, from_os_error
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.report import NodeRun, RunRecord
+from inpaint3d.contracts.models.cluster import Image, ImagesSpec
+from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import cluster_cli, dev_cli, housekeeping
 from inpaint3d.orchestrator import compare as comparison
@@ -148,7 +148,7 @@ def run(
     chosen = ProcessRunner() if built is None else ContainerRunner(find_engine(engine), built)
     codes: list[int] = []
     for path, scene_name in scenes_of(capture, scene, name):
-        with opened.in_use():
+        with opened.shared():
             planner = _planner(
                 path, store=opened, pipeline=checked, name=scene_name, mask=mask, preset=preset,
                 assignments=assignments, prior=prior, corpus=corpus, seed=seed, device=device, stub=stub, images=built,
@@ -190,7 +190,7 @@ def evaluate_dataset(
     scores: list[SceneScore] = []
     codes: list[int] = []
     for path in found:
-        with opened.in_use():
+        with opened.shared():
             planner = _planner(
                 path, store=opened, pipeline=checked, name=f"{dataset}-{path.name}", mask=None,
                 preset=preset or known.preset, assignments=assignments, prior=prior, corpus=corpus, seed=seed,

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.cluster import ClusterSpec, Scene, Submission
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.report import NodeRun, RunRecord
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.cluster import ClusterSpec, Scene, Submission
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store
 from inpaint3d.orchestrator.emit.argo import LABEL, Document, dump, emit
 from inpaint3d.orchestrator.emit.check import check

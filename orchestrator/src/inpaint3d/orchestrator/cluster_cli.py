@@ -10,10 +10,10 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from inpaint3d.contracts.cluster import ClusterSpec, ImagesSpec, Scene, Submission
-from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.cluster import ClusterSpec, ImagesSpec, Scene, Submission
+from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.argo import dump

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.report import NodeRun, RunRecord
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store
 
 Verdict = Literal["equal", "differs", "may differ", "was asked something else", "has no result"]

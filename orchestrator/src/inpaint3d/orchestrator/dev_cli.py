@@ -11,9 +11,9 @@ from typing import Annotated, cast
 import typer
 import yaml
 
-from inpaint3d.contracts.artifacts import SCHEMAS
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.artifacts import SCHEMAS
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.options import PipelinePath
 from inpaint3d.orchestrator.plan import find_pipeline
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.report import Machine, NodeRun, RunRecord
+from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.store import Store
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.report import RunRecord
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Record, Store, key_path
 from inpaint3d.orchestrator.history import History
 
@@ -15,7 +15,7 @@ def verify(store: Store) -> list[str]:
     """Hash every object; what is damaged goes to quarantine. Returns one line for each."""
     lines: list[str] = []
     for digest in store.objects():
-        if (damage := store.damage(digest)) is not None:
+        if (damage := store.find_damage(digest)) is not None:
             store.quarantine(digest)
             lines.append(damage)
     return lines
@@ -27,7 +27,7 @@ def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
     Returns bytes and artifacts freed. RetryableError while a run uses the store: what it has just committed is named by
     no record yet.
     """
-    with store.alone():
+    with store.exclusive():
         return _collect(store, keep, dry_run=dry_run)
 
 

@@ -3,14 +3,14 @@
 import shutil
 from pathlib import Path
 
-from inpaint3d.contracts.artifacts import DiffusersPipeline, MaskRequestArtifact, Source
-from inpaint3d.contracts.artifacts.masks import MaskRequest
-from inpaint3d.contracts.documents import load_document
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.manifest import Manifest, describe_file, schema_id
-from inpaint3d.contracts.model import Closed, Digest
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.store import Store, manifest_in
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline, MaskRequestArtifact, Source
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest
+from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.manifest import Manifest, describe_file, schema_id
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import Store, load_manifest
 from inpaint3d.orchestrator.foreign import kind_of, pipeline_files, pipeline_folder
 
 
@@ -40,7 +40,7 @@ def _take_files(store: Store, name: str, metadata: Closed, root: Path, paths: li
     entries = [describe_file(root, p) for p in paths]
     files = tuple(e.model_copy(update={"path": f"{below}/{e.path}"}) for e in entries)
     manifest = Manifest(schema=schema_id(name), files=files, metadata=metadata.model_dump(mode="json"))
-    if store.whole(manifest.digest):
+    if store.is_whole(manifest.digest):
         return manifest.digest
     folder = store.private_folder()
     for entry in entries:
@@ -58,8 +58,8 @@ def take_mask_request(store: Store, path: Path) -> Digest:
 
 def take_artifact(store: Store, path: Path, schema: str) -> Digest:
     """An artifact's folder as another store holds it (a pretrained prior, a corpus), verified on the way in."""
-    manifest = manifest_in(path, schema)
-    if store.whole(manifest.digest):
+    manifest = load_manifest(path, schema)
+    if store.is_whole(manifest.digest):
         return manifest.digest
     store.adopt(path, manifest)
     return manifest.digest

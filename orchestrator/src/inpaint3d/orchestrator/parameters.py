@@ -9,7 +9,7 @@ import yaml
 from jsonschema import Draft202012Validator, exceptions
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline
 
 SEED = "seed"
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from inpaint3d.contracts.cluster import Image
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.keys import Inputs, code_digest, key_components, run_key
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.report import Change, NodeRun
-from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.kit.keys import Inputs, code_digest, key_components, run_key
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.cluster import Image
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.report import Change, NodeRun
+from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Record, Store
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.parameters import SEED, resolved

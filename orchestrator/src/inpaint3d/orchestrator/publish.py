@@ -5,9 +5,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.artifacts import Evaluation, UsdScene
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.report import RunRecord, RunReport, StageFigures
+from inpaint3d.contracts.models.artifacts import Evaluation, UsdScene
+from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Store
 from inpaint3d.orchestrator.times import times_page
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from inpaint3d.contracts.errors import EXIT_CODES, Inpaint3dError, InterruptedRun, RetryableError, WaitingError
-from inpaint3d.contracts.report import NodeRun, RunRecord, Status
-from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.models.report import NodeRun, RunRecord, Status
 from inpaint3d.contracts.store import Record
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.plan import Planner, Selection, Task, with_result

@@ -4,7 +4,7 @@ import html
 from collections.abc import Sequence
 from typing import Any
 
-from inpaint3d.contracts.report import NodeRun, RunRecord
+from inpaint3d.contracts.models.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store
 
 WIDTH, HEIGHT, MARGIN = 460, 200, 44

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from safetensors.torch import load_file, save
 
-from inpaint3d.contracts.artifacts.prior import DiffusionPrior, PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.runtimes import load_onnx

@@ -2,9 +2,9 @@
 
 import torch
 
-from inpaint3d.contracts.artifacts import DiffusersPipeline, DiffusionPrior
-from inpaint3d.contracts.context import Inputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline, DiffusionPrior
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.io import load_prior, open_prior

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance, to_opponent
 from inpaint3d.diffusion.denoiser import Image, Mask, Times, guided
 from inpaint3d.diffusion.fill import pyramid_fill

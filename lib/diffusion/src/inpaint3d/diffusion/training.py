@@ -16,7 +16,7 @@ from jaxtyping import Float
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
 from inpaint3d.diffusion.denoiser import Image, Mask
 from inpaint3d.diffusion.parallel import average_over_ranks

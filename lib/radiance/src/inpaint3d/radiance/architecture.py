@@ -3,7 +3,7 @@
 from itertools import pairwise
 from typing import NamedTuple
 
-from inpaint3d.contracts.artifacts import EffectPlan, FieldSpec, GridSpec
+from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
 
 # Spherical harmonics of degrees 0 to 3.
 DIRECTION_COMPONENTS = 16

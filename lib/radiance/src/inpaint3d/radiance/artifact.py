@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import FieldSpec, FieldView
+from inpaint3d.contracts.models.artifacts import FieldSpec, FieldView
 from inpaint3d.radiance.architecture import parameter_shapes
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import write_exr, write_png

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance import backends, directions, safe
 from inpaint3d.radiance.architecture import levels_of, parameter_shapes
 from inpaint3d.radiance.density_grid import DensityGrid

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Positive
+from inpaint3d.contracts.models.base import Closed, Positive
 
 Count = Annotated[int, Field(ge=1)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]

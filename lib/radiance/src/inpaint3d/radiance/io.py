@@ -5,8 +5,8 @@ from pathlib import Path
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
-from inpaint3d.contracts.artifacts import FieldSpec
 from inpaint3d.contracts.errors import ArtifactError
+from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
 

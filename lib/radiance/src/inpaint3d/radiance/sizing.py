@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from inpaint3d.contracts.artifacts import EffectPlan, FieldSpec, GridSpec
-from inpaint3d.contracts.model import Closed, Positive, Share
+from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
+from inpaint3d.contracts.models.base import Closed, Positive, Share
 from inpaint3d.radiance.architecture import planned_spec
 
 Count = Annotated[int, Field(ge=1)]

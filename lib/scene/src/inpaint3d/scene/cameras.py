@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from inpaint3d.contracts.artifacts import PosedFrame
-from inpaint3d.contracts.model import Pose
+from inpaint3d.contracts.models.artifacts import PosedFrame
+from inpaint3d.contracts.models.base import Pose
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from safetensors.numpy import load_file, save_file
 
-from inpaint3d.contracts.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
 from inpaint3d.contracts.errors import ArtifactError
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, write_mask, write_png
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import MaskSet, PosedCapture
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import MaskSet, PosedCapture
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed

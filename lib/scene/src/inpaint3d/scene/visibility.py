@@ -7,8 +7,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import RadianceFieldArtifact
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Mask, read_exr

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from inpaint3d.contracts.artifacts import Primitive
-from inpaint3d.contracts.model import Vector3
+from inpaint3d.contracts.models.artifacts import Primitive
+from inpaint3d.contracts.models.base import Vector3
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.geometry import inside_box, ray_box, ray_sphere
 

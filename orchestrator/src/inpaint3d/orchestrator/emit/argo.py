@@ -10,10 +10,10 @@ from typing import Any, cast
 
 import yaml
 
-from inpaint3d.contracts.cluster import ClusterSpec, Scene, Submission
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.models.cluster import ClusterSpec, Scene, Submission
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.orchestrator.plan import node_parameters, node_seed
 
 Document = dict[str, Any]

@@ -15,9 +15,9 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.manifest import compatible, first_error
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.shim import Invocation
+from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.models.manifest import first_error, is_compatible
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.emit.argo import LABEL, PRESET, checked
 from inpaint3d.orchestrator.parameters import resolved
 
@@ -172,7 +172,7 @@ def _contracts(view: _View, pipeline: Pipeline) -> Iterator[str]:
                 offered = json.loads(sides.get(parts[1], {}).get(f"{LABEL}/outputs", "{}")).get(parts[-1])
                 wanted = json.loads(sides[task["template"]].get(f"{LABEL}/inputs", "{}"))
                 port = argument["name"] if argument["name"] in wanted else argument["name"].rpartition("-")[0]
-                if offered is None or port not in wanted or not compatible(offered, wanted[port]):
+                if offered is None or port not in wanted or not is_compatible(offered, wanted[port]):
                     yield f"scene.{task['name']}: {port} takes {wanted.get(port)}, but {parts[1]} gives {offered}"
 
 

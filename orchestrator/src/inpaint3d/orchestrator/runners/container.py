@@ -19,14 +19,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.canonical import digest_of
-from inpaint3d.contracts.cluster import Image
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, RetryableError, from_os_error
-from inpaint3d.contracts.keys import IMAGE_DIGEST
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.shim import GRACE_S, Invocation, die_with_parent
-from inpaint3d.contracts.stage import StageSpec, memory_bytes
-from inpaint3d.contracts.store import Store, hex_of, open_store
+from inpaint3d.contracts.kit.keys import IMAGE_DIGEST
+from inpaint3d.contracts.kit.shim import GRACE_S, Invocation, die_with_parent
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.canonical import digest_of
+from inpaint3d.contracts.models.cluster import Image
+from inpaint3d.contracts.models.stage import StageSpec, memory_bytes
+from inpaint3d.contracts.store import FolderStore, Store, hex_of, open_store
 
 ENGINES = ("podman", "docker")
 STAGE_USER = 10001
@@ -130,10 +130,10 @@ def _user(engine: str) -> list[str]:
 
 def contained(store: Store, key: Digest, invocation: Invocation, container: argparse.Namespace) -> int:
     """Run a stage in its container and take over its result; the exit code. Errors are the tree of `errors`."""
-    with store.in_use(), store.lock(key):
+    with store.shared(), store.lock(key):
         if store.lookup(key) is not None:
             return 0
-        scratch = Store(store.work_folder(key) / "store")
+        scratch = FolderStore(store.work_folder(key) / "store")
         code = Container(
             engine=container.engine,
             image=container.image,

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.shim import Invocation
-from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Store
 
 Event = tuple[str, Mapping[str, Any]]

@@ -7,8 +7,8 @@ from typing import Any, BinaryIO, get_args
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, numeric_order

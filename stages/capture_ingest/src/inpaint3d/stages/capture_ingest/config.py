@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed
+from inpaint3d.contracts.models.base import Closed
 
 Layout = Literal["photos", "video", "colmap", "nerfstudio", "llff", "spin-nerf", "realestate10k"]
 

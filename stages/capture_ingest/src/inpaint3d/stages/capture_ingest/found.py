@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.image_io import PICTURE_SUFFIXES
 
 

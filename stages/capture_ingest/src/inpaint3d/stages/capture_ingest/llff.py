@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_llff
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, pictures_in

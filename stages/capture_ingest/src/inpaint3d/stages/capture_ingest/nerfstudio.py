@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_opengl
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, numeric_order

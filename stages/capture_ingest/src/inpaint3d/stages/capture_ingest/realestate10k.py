@@ -4,8 +4,8 @@ from pathlib import Path
 
 import cv2
 
-from inpaint3d.contracts.artifacts import KnownCamera
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.image_io import read_image, write_png
 from inpaint3d.scene.realestate10k import Clip, ClipFrame, camera_files, read_clips

@@ -6,9 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from inpaint3d.contracts.artifacts import Capture, CapturedFrame, Exif, Source, Truth
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, Exif, Source, Truth
 from inpaint3d.scene.image_io import Header, read_header, read_image, read_mask, write_mask, write_png
 from inpaint3d.stages.capture_ingest import colmap, llff, nerfstudio, photos, realestate10k, spin_nerf, video
 from inpaint3d.stages.capture_ingest.config import Config

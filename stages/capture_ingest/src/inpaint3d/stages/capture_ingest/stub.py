@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import Capture, CapturedFrame, KnownCamera, Truth
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCamera, Truth
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene

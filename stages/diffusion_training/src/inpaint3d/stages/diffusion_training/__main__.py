@@ -1,5 +1,5 @@
-"""python -m inpaint3d.stages.diffusion_training: see `inpaint3d.contracts.shim`."""
+"""python -m inpaint3d.stages.diffusion_training: see `inpaint3d.contracts.kit.shim`."""
 
-from inpaint3d.contracts.shim import serve
+from inpaint3d.contracts.kit.shim import serve
 
 serve("inpaint3d.stages.diffusion_training")

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from inpaint3d.contracts.artifacts.prior import PriorSpec
-from inpaint3d.contracts.model import Closed, Positive, Share
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
+from inpaint3d.contracts.models.base import Closed, Positive, Share
 
 Count = Annotated[int, Field(ge=1)]
 

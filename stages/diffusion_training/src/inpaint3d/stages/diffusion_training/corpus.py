@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from inpaint3d.contracts.artifacts import ImageCorpus
-from inpaint3d.contracts.canonical import canonical_json
 from inpaint3d.contracts.errors import BadInputError, Inpaint3dError, from_os_error
-from inpaint3d.contracts.manifest import MANIFEST, build_manifest
+from inpaint3d.contracts.models.artifacts import ImageCorpus
+from inpaint3d.contracts.models.canonical import canonical_json
+from inpaint3d.contracts.models.manifest import MANIFEST, build_manifest
 from inpaint3d.scene.image_io import PICTURE_SUFFIXES, read_image
 from inpaint3d.scene.realestate10k import camera_files, read_clips
 
@@ -70,7 +70,7 @@ def write_corpus(folder: Path, out: Path, *, held_out: float = 0.1, every: int =
     shutil.rmtree(partial, ignore_errors=True)
     pictures = tuple(_carried(picture, partial) for picture in found)
     manifest = build_manifest(partial, "image-corpus", ImageCorpus(pictures=pictures))
-    (partial / MANIFEST).write_bytes(canonical_json(manifest.dumped()))
+    (partial / MANIFEST).write_bytes(canonical_json(manifest.dump()))
     partial.rename(out)
     return pictures
 

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import ImageCorpus, MaskSet, PosedCapture
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import ImageCorpus, MaskSet, PosedCapture
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.masks import random_masks
 from inpaint3d.diffusion.training import Batch

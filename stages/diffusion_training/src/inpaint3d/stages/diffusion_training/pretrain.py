@@ -22,13 +22,13 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus
-from inpaint3d.contracts.canonical import canonical_json
-from inpaint3d.contracts.context import Context
-from inpaint3d.contracts.documents import load_yaml
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Inpaint3dError, from_os_error
-from inpaint3d.contracts.manifest import MANIFEST, build_manifest, first_error
-from inpaint3d.contracts.store import artifact_in
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus
+from inpaint3d.contracts.models.canonical import canonical_json
+from inpaint3d.contracts.models.documents import load_yaml
+from inpaint3d.contracts.models.manifest import MANIFEST, build_manifest, first_error
+from inpaint3d.contracts.store import load_artifact
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.parallel import join_ranks, leave_ranks, own_parts, rank
 from inpaint3d.stages.diffusion_training.config import Config
@@ -68,7 +68,7 @@ def pretrain(folders: Sequence[Path], out: Path, config: Config, seed: int, star
         own_parts(config.parts)
     except ValueError as error:
         raise ConfigurationError(f"parts: {error}") from error
-    corpora = [artifact_in(folder, "image-corpus@1", ImageCorpus) for folder in folders]
+    corpora = [load_artifact(folder, "image-corpus@1", ImageCorpus) for folder in folders]
     training = [picture for corpus in corpora for picture in corpus_pictures(corpus)]
     held_out = [picture for corpus in corpora for picture in corpus_pictures(corpus, "test")]
     if not training or not held_out:
@@ -80,7 +80,7 @@ def pretrain(folders: Sequence[Path], out: Path, config: Config, seed: int, star
     work.mkdir(parents=True, exist_ok=True)
     ctx = Context(seed=seed, device="cpu", threads=1, work=work, emit=_say)
     signal.signal(signal.SIGTERM, lambda *_: setattr(ctx, "stopping", True))
-    pretrained = artifact_in(start, "diffusion-prior@1", DiffusionPrior) if start else None
+    pretrained = load_artifact(start, "diffusion-prior@1", DiffusionPrior) if start else None
     spec = pretrained.metadata.spec if pretrained else config.prior
     lesson = lesson_of(config, spec, training, held_out)
     checkpoint = out / "checkpoint.safetensors"
@@ -107,7 +107,7 @@ def pretrain(folders: Sequence[Path], out: Path, config: Config, seed: int, star
         non_finite=dict(ctx.non_finite),
     )
     manifest = build_manifest(prior, "diffusion-prior", metadata)
-    (prior / MANIFEST).write_bytes(canonical_json(manifest.dumped()))
+    (prior / MANIFEST).write_bytes(canonical_json(manifest.dump()))
 
 
 def _config(path: Path | None) -> Config:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, ImageCorpus, MaskSet, PosedCapture, PriorSpec
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus, MaskSet, PosedCapture, PriorSpec
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.io import load_prior, save_prior
 from inpaint3d.diffusion.prior import InpaintingPrior

@@ -3,8 +3,8 @@
 import numpy as np
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, MaskSet, PosedCapture, PriorSpec
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, MaskSet, PosedCapture, PriorSpec
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.diffusion_training.config import Config
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Share
+from inpaint3d.contracts.models.base import Closed, Share
 
 Count = Annotated[int, Field(ge=1)]
 

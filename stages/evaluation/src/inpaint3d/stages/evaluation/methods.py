@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field

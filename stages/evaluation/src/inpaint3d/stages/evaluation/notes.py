@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from inpaint3d.contracts.artifacts import MaskSet, Metric, Protocol
+from inpaint3d.contracts.models.artifacts import MaskSet, Metric, Protocol
 from inpaint3d.stages.evaluation import prior
 from inpaint3d.stages.evaluation import protocols as names
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import MaskSet, MaskView
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import MaskSet, MaskView
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.cameras import Camera

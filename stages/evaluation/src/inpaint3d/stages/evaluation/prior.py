@@ -1,6 +1,6 @@
 """What the diffusion prior makes of holes whose truth is known, as it was judged when it was trained."""
 
-from inpaint3d.contracts.artifacts import DiffusionPrior, Protocol
+from inpaint3d.contracts.models.artifacts import DiffusionPrior, Protocol
 from inpaint3d.stages.evaluation.scores import metric
 
 PRIOR = "prior-on-held-out-crops"

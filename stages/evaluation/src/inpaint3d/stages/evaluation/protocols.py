@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from inpaint3d.contracts.artifacts import Metric, Protocol
+from inpaint3d.contracts.models.artifacts import Metric, Protocol
 from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.reprojection import warp_image

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jinja2
 
-from inpaint3d.contracts.artifacts import Protocol
+from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.stages.evaluation.charts import Line, line_chart
 from inpaint3d.stages.evaluation.scores import KINDS, best
 

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import torch
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import (
     DiffusionPrior,
     Evaluation,
     MaskSet,
@@ -13,8 +15,6 @@ from inpaint3d.contracts.artifacts import (
     PosedTruth,
     RadianceFieldArtifact,
 )
-from inpaint3d.contracts.context import Context, Inputs, Outputs
-from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.capture_io import load_points, load_posed

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import Metric
+from inpaint3d.contracts.models.artifacts import Metric
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import Metric, Protocol
+from inpaint3d.contracts.models.artifacts import Metric, Protocol
 from inpaint3d.radiance.agreement import FRONT, agreement
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints

@@ -1,7 +1,7 @@
 """A tiny valid evaluation of the synthetic room, through the same writers; no tensor library."""
 
-from inpaint3d.contracts.artifacts import Evaluation, Protocol
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import Evaluation, Protocol
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.evaluation.baselines import mean_surround

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from inpaint3d.contracts.artifacts import EffectPlan, FieldSpec
+from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError, InterruptedRun
+from inpaint3d.contracts.kit.context import Context
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField

@@ -19,8 +19,8 @@ import torch.distributed as dist
 import torch.multiprocessing as mp
 from torch import Tensor
 
-from inpaint3d.contracts.context import Context, Inputs
 from inpaint3d.contracts.errors import ConfigurationError, InterruptedRun
+from inpaint3d.contracts.kit.context import Context, Inputs
 from inpaint3d.stages.joint_optimization.config import Config
 
 PATIENCE = timedelta(minutes=10)

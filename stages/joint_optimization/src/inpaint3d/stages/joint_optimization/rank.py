@@ -11,10 +11,10 @@ import os
 import sys
 from pathlib import Path
 
-from inpaint3d.contracts.context import Inputs
 from inpaint3d.contracts.errors import Inpaint3dError, from_os_error
-from inpaint3d.contracts.keys import run_key
-from inpaint3d.contracts.shim import Invocation, announce_threads, components_of, config_of, serve, stage_spec
+from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.kit.keys import run_key
+from inpaint3d.contracts.kit.shim import Invocation, announce_threads, components_of, config_of, serve, stage_spec
 from inpaint3d.contracts.store import Store, open_store
 
 MODULE = "inpaint3d.stages.joint_optimization"
@@ -45,7 +45,7 @@ def step_along(store: Store, invocation: Invocation) -> None:
     spec = stage_spec(MODULE)
     config = config_of(MODULE, spec, invocation.parameters)
     key = run_key(components_of(MODULE, spec, invocation))
-    with store.in_use():
+    with store.shared():
         if store.lookup(key) is not None:
             return
         with join_torchrun(config.ranks, invocation.device) as ranks:

@@ -2,8 +2,14 @@
 
 import torch
 
-from inpaint3d.contracts.artifacts import CompletedViews, EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import (
+    CompletedViews,
+    EffectPlan,
+    MaskSet,
+    PosedCapture,
+    RadianceFieldArtifact,
+)
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.artifact import write_views
 from inpaint3d.radiance.fields import RadianceField

@@ -2,8 +2,8 @@
 
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import CompletedViews, FieldSpec, GridSpec, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import CompletedViews, FieldSpec, GridSpec, RadianceFieldArtifact
 from inpaint3d.radiance.artifact import stub_weights, write_curve, write_view
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.joint_optimization.config import Config

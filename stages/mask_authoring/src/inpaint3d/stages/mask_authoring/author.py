@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts.masks import (
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts.masks import (
     BoxRequest,
     ImportedRequest,
     ObjectRequest,
@@ -14,8 +16,6 @@ from inpaint3d.contracts.artifacts.masks import (
     ScribbleRequest,
     SphereRequest,
 )
-from inpaint3d.contracts.context import Context
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.scene.capture_io import View
 from inpaint3d.scene.morphology import close, fill_holes, grow, remove_specks
 from inpaint3d.scene.volumes import volume_mask

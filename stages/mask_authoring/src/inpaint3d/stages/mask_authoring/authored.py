@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import MaskSet, MaskView, Primitive
+from inpaint3d.contracts.models.artifacts import MaskSet, MaskView, Primitive
 from inpaint3d.scene.image_io import write_mask
 
 Bools = NDArray[np.bool_]

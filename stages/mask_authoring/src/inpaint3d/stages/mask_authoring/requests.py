@@ -6,8 +6,8 @@ import json
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts.masks import ObjectRequest, ScribbleRequest
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.artifacts.masks import ObjectRequest, ScribbleRequest
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
 from inpaint3d.stages.mask_authoring.segment import Prompts

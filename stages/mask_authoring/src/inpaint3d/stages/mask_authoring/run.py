@@ -2,16 +2,16 @@
 
 import cv2
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.errors import ConfigurationError, WaitingError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import (
     MaskRequest,
     MaskRequestArtifact,
     PosedCapture,
     PosedTruth,
     RadianceFieldArtifact,
 )
-from inpaint3d.contracts.artifacts.masks import ImportedRequest
-from inpaint3d.contracts.context import Context, Inputs, Outputs
-from inpaint3d.contracts.errors import ConfigurationError, WaitingError
+from inpaint3d.contracts.models.artifacts.masks import ImportedRequest
 from inpaint3d.scene.capture_io import View
 from inpaint3d.stages.mask_authoring.author import Scene, author
 from inpaint3d.stages.mask_authoring.authored import Authored, write_mask_set

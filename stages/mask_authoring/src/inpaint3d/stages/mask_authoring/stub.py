@@ -1,7 +1,7 @@
 """The synthetic scene's own object masks, through the same writers."""
 
-from inpaint3d.contracts.artifacts import PosedCapture, PosedTruth
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import PosedCapture, PosedTruth
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.synthetic import BALL_RADIUS
 from inpaint3d.scene.volumes import sphere, volume_mask

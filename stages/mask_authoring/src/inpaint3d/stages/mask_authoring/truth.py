@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import PosedTruth
+from inpaint3d.contracts.models.artifacts import PosedTruth
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from inpaint3d.contracts.artifacts import PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View, load_posed

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import Primitive
-from inpaint3d.contracts.artifacts.masks import BoxRequest, OutpaintRequest, SphereRequest
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import Primitive
+from inpaint3d.contracts.models.artifacts.masks import BoxRequest, OutpaintRequest, SphereRequest
 from inpaint3d.scene.volumes import box, sphere
 from inpaint3d.stages.mask_authoring.segment import middle_depth
 from inpaint3d.stages.mask_authoring.views import DepthView, camera_distances

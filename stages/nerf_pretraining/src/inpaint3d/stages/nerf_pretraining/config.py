@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Positive
+from inpaint3d.contracts.models.base import Closed, Positive
 from inpaint3d.radiance.fitting import LossWeights, Optimizer
 from inpaint3d.radiance.sizing import Architecture
 

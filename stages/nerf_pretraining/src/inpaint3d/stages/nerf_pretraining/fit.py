@@ -8,8 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import InterruptedRun
+from inpaint3d.contracts.kit.context import Context
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut

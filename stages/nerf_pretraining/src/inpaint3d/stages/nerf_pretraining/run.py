@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from inpaint3d.contracts.artifacts import EffectPlan, PosedCapture, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import EffectPlan, PosedCapture, RadianceFieldArtifact
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.agreement import agreement
 from inpaint3d.radiance.artifact import write_curve, write_views

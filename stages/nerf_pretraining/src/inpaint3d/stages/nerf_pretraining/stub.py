@@ -3,8 +3,8 @@
 import numpy as np
 from safetensors.numpy import save_file
 
-from inpaint3d.contracts.artifacts import FieldSpec, GridSpec, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec, RadianceFieldArtifact
 from inpaint3d.radiance.artifact import stub_weights, write_curve, write_view
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Positive, Share
+from inpaint3d.contracts.models.base import Closed, Positive, Share
 
 Count = Annotated[int, Field(ge=1)]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import CapturedFrame
-from inpaint3d.contracts.context import Context
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import CapturedFrame
 from inpaint3d.stages.pose_estimation.config import Config
 
 # Between two chunks a stop is honoured; each takes a second or two.

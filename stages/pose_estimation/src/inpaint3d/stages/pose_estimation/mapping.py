@@ -9,9 +9,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import ArrayLike
 
-from inpaint3d.contracts.artifacts import KnownCamera
-from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import InterruptedRun
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.stages.pose_estimation.config import Config
 
 

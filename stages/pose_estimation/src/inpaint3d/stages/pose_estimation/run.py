@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import (
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import (
     Capture,
     CapturedFrame,
     LensModel,
@@ -15,7 +16,6 @@ from inpaint3d.contracts.artifacts import (
     PosedTruth,
     Truth,
 )
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.capture_io import SparsePoints, captured_image, captured_mask, write_points, write_view

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 import pycolmap
 
-from inpaint3d.contracts.artifacts import Capture, CapturedFrame, KnownCamera, Registration, Truth
-from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCamera, Registration, Truth
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.stages.pose_estimation import features, gate, lens, mapping
 from inpaint3d.stages.pose_estimation.config import Config

@@ -1,7 +1,7 @@
 """The synthetic room as a posed capture: exact cameras, points and masks; the truth is the room without its ball."""
 
-from inpaint3d.contracts.artifacts import LensModel, PosedCapture, PosedTruth, Registration
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import LensModel, PosedCapture, PosedTruth, Registration
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.pose_estimation.config import Config

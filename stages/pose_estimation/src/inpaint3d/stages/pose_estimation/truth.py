@@ -8,9 +8,9 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import CapturedFrame
-from inpaint3d.contracts.context import Context
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import CapturedFrame
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, features_of, match, number_of
 from inpaint3d.stages.pose_estimation.model import Model, significant

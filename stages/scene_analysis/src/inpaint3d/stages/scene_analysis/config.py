@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from inpaint3d.contracts.artifacts.effects import EffectName
-from inpaint3d.contracts.model import Closed, Positive, Share
+from inpaint3d.contracts.models.artifacts.effects import EffectName
+from inpaint3d.contracts.models.base import Closed, Positive, Share
 
 
 class Config(Closed):

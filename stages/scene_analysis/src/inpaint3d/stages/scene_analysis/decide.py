@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import Effect, LensModel
-from inpaint3d.contracts.artifacts.effects import EffectName
+from inpaint3d.contracts.models.artifacts import Effect, LensModel
+from inpaint3d.contracts.models.artifacts.effects import EffectName
 from inpaint3d.scene.capture_io import SparsePoints, View
 from inpaint3d.stages.scene_analysis.config import Config
 from inpaint3d.stages.scene_analysis.lens import corner_displacement

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts import LensModel
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import LensModel
 
 
 def corner_displacement(lens: LensModel) -> float:

@@ -1,7 +1,7 @@
 """Decide which capture effects a scene calls for, from its posed frames and sparse points."""
 
-from inpaint3d.contracts.artifacts import EffectPlan, PosedCapture
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import EffectPlan, PosedCapture
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.stages.scene_analysis.config import Config
 from inpaint3d.stages.scene_analysis.decide import contraction, exposure, lens_distortion, view_dependence

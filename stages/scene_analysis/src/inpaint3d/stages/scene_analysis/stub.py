@@ -1,8 +1,8 @@
 """What the synthetic room calls for: nothing. It is bounded, Lambertian, and pictured by an ideal camera."""
 
-from inpaint3d.contracts.artifacts import Effect, EffectPlan
-from inpaint3d.contracts.artifacts.effects import EffectName
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import Effect, EffectPlan
+from inpaint3d.contracts.models.artifacts.effects import EffectName
 from inpaint3d.stages.scene_analysis.config import Config
 
 NAMES: tuple[EffectName, ...] = ("contraction", "lens-distortion", "exposure", "view-dependence")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import Primitive, UsdScene
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import Primitive, UsdScene
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Mask, write_png
 from inpaint3d.stages.usd_export import atlas

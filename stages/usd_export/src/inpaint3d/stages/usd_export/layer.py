@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
-from inpaint3d.contracts.artifacts import Primitive
+from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.stages.usd_export.mesh import Mesh
 

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import MaskSet, PosedCapture, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import MaskSet, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view

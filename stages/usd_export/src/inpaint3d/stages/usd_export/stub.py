@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.export import MaskVolume, meshed, write_scene

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import FieldView, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import FieldView, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.artifact import reduced
 from inpaint3d.scene.cameras import Camera

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts.completion import SOURCE_CODES
+from inpaint3d.contracts.models.artifacts.completion import SOURCE_CODES
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.stages.view_completion.completion import Completion

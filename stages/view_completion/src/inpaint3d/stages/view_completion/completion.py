@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts import CompletedView, CompletedViews
-from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.contracts.models.artifacts import CompletedView, CompletedViews
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.scene.image_io import write_codes, write_exr, write_png
 
 

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from inpaint3d.contracts.model import Closed, Finite, Share
+from inpaint3d.contracts.models.base import Closed, Finite, Share
 
 Count = Annotated[int, Field(ge=1)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.image_io import Image, Mask

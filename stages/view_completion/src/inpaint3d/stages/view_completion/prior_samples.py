@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.artifacts.completion import SOURCE_CODES
+from inpaint3d.contracts.models.artifacts.completion import SOURCE_CODES
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.samplers import inpaint
 from inpaint3d.scene.masked_views import MaskedView

@@ -2,9 +2,9 @@
 
 import torch
 
-from inpaint3d.contracts.artifacts import EffectPlan, MaskSet, PaintedViews, PosedCapture, RadianceFieldArtifact
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts import EffectPlan, MaskSet, PaintedViews, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.loading import load_denoiser
 from inpaint3d.radiance.appearance import AppearanceMap

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from inpaint3d.contracts.artifacts.completion import FIRST_PHOTO
-from inpaint3d.contracts.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.view_completion.completion import Completion, write_completions
 from inpaint3d.stages.view_completion.config import Config

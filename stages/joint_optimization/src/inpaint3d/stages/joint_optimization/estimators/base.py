@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.model import Closed, Finite, Positive, Share
+from inpaint3d.contracts.models.base import Closed, Finite, Positive, Share
 from inpaint3d.stages.joint_optimization.schedule import (
     TimestepRange,
     specular_scale,
@@ -18,8 +18,8 @@ from inpaint3d.stages.joint_optimization.schedule import (
 )
 
 if TYPE_CHECKING:
-    from inpaint3d.contracts.artifacts import RadianceFieldArtifact
-    from inpaint3d.contracts.context import Inputs
+    from inpaint3d.contracts.kit.context import Inputs
+    from inpaint3d.contracts.models.artifacts import RadianceFieldArtifact
     from inpaint3d.contracts.store import Artifact
     from inpaint3d.diffusion.denoiser import Denoiser
     from inpaint3d.radiance.fields import RadianceField
@@ -224,7 +224,7 @@ class PriorEstimator(HoleFilling):
         """The guide that asks what is wired; errors as of `load_denoiser`, ConfigurationError for a pipeline that this
         estimator cannot use.
         """
-        from inpaint3d.contracts.artifacts import DiffusersPipeline
+        from inpaint3d.contracts.models.artifacts import DiffusersPipeline
         from inpaint3d.diffusion.loading import load_denoiser
 
         asker = f"estimator {getattr(self, 'name')!r}"  # noqa: B009

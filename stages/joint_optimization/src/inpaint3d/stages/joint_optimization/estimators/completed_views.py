@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from pydantic import Field
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.model import Share
+from inpaint3d.contracts.models.base import Share
 from inpaint3d.stages.joint_optimization.estimators.base import Count, Guided, Preparation, Setting, Weight
 
 if TYPE_CHECKING:
-    from inpaint3d.contracts.artifacts import CompletedViews
+    from inpaint3d.contracts.models.artifacts import CompletedViews
     from inpaint3d.contracts.store import Artifact
     from inpaint3d.scene.masked_views import MaskedView
     from inpaint3d.stages.joint_optimization.batch import Filled
@@ -46,7 +46,7 @@ class CompletedViewsEstimator(Guided):
         return self.span
 
     def prepare(self, setting: Setting) -> Preparation:
-        from inpaint3d.contracts.artifacts import CompletedViews
+        from inpaint3d.contracts.models.artifacts import CompletedViews
         from inpaint3d.scene.masked_views import find_fillable
 
         completed = setting.inputs.optional(PORT, CompletedViews)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Share
+from inpaint3d.contracts.models.base import Share
 from inpaint3d.stages.joint_optimization.estimators.base import Count, PriorEstimator
 
 if TYPE_CHECKING:

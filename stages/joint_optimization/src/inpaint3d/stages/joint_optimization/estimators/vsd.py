@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Positive
+from inpaint3d.contracts.models.base import Positive
 from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator
 
 if TYPE_CHECKING:

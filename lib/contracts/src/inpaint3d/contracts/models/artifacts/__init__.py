@@ -3,16 +3,16 @@
 The metadata names the files that hold the bulk; file layouts are described in each model. `SCHEMAS` is the registry.
 """
 
-from inpaint3d.contracts.artifacts.capture import Capture, CapturedFrame, Exif, KnownCamera, Truth
-from inpaint3d.contracts.artifacts.completion import CompletedView, CompletedViews, PaintedView, PaintedViews
-from inpaint3d.contracts.artifacts.effects import Effect, EffectPlan
-from inpaint3d.contracts.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
-from inpaint3d.contracts.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
-from inpaint3d.contracts.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
-from inpaint3d.contracts.artifacts.posed import LensModel, PosedCapture, PosedFrame, PosedTruth, Registration
-from inpaint3d.contracts.artifacts.prior import DiffusionPrior, PriorSpec
-from inpaint3d.contracts.artifacts.results import Evaluation, Metric, Protocol, UsdScene
-from inpaint3d.contracts.model import Closed
+from inpaint3d.contracts.models.artifacts.capture import Capture, CapturedFrame, Exif, KnownCamera, Truth
+from inpaint3d.contracts.models.artifacts.completion import CompletedView, CompletedViews, PaintedView, PaintedViews
+from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan
+from inpaint3d.contracts.models.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
+from inpaint3d.contracts.models.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
+from inpaint3d.contracts.models.artifacts.posed import LensModel, PosedCapture, PosedFrame, PosedTruth, Registration
+from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
+from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, Protocol, UsdScene
+from inpaint3d.contracts.models.base import Closed
 
 SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "source": ("1.0", Source),

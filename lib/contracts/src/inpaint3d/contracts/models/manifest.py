@@ -5,10 +5,10 @@ from typing import Annotated, Any, TypeVar, cast
 
 from pydantic import Field, StringConstraints, ValidationError
 
-from inpaint3d.contracts.artifacts import SCHEMAS
-from inpaint3d.contracts.canonical import digest_of, file_digest
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.model import Closed, Digest, RelativePath, StoredPath
+from inpaint3d.contracts.models.artifacts import SCHEMAS
+from inpaint3d.contracts.models.base import Closed, Digest, RelativePath, StoredPath
+from inpaint3d.contracts.models.canonical import digest_of, file_digest
 
 MANIFEST = "artifact.json"
 M = TypeVar("M", bound=Closed)
@@ -40,13 +40,13 @@ class Manifest(Closed):
     files: tuple[FileEntry, ...]
     metadata: dict[str, Any]
 
-    def dumped(self) -> dict[str, Any]:
+    def dump(self) -> dict[str, Any]:
         return self.model_dump(mode="json", by_alias=True)
 
     @property
     def digest(self) -> Digest:
         """`sha256:…` of the content: schema, files and metadata; no times, no provenance."""
-        return digest_of(self.dumped())
+        return digest_of(self.dump())
 
 
 def schema_id(name: str) -> str:
@@ -61,7 +61,7 @@ def split_schema(schema: str) -> tuple[str, int, int | None]:
     return name, int(major), int(minor) if minor else None
 
 
-def compatible(written: str, wanted: str) -> bool:
+def is_compatible(written: str, wanted: str) -> bool:
     """Whether a reader of `wanted` (`name@MAJOR`) takes an artifact `written` as `name@MAJOR.MINOR`."""
     return split_schema(written)[:2] == split_schema(wanted)[:2]
 
@@ -93,13 +93,13 @@ def build_manifest(root: Path, name: str, metadata: Closed) -> Manifest:
     check_metadata(name, data)
     files = describe_files(root)
     present = {f.path for f in files}
-    for path in named_files(metadata):
+    for path in list_named_files(metadata):
         if path not in present:
             raise ArtifactError(f"{name}: metadata names {path}, which was not written")
     return Manifest(schema=schema_id(name), files=files, metadata=data)
 
 
-def named_files(metadata: Closed) -> list[StoredPath]:
+def list_named_files(metadata: Closed) -> list[StoredPath]:
     """Every path that the metadata names, wherever it stands."""
     found: list[StoredPath] = []
 
@@ -135,23 +135,23 @@ def read_metadata(manifest: Manifest, model: type[M]) -> M:
         unknown = [e["loc"] for e in error.errors() if e["type"] == "extra_forbidden"]
         name, _, minor = split_schema(manifest.schema_id)
         if len(unknown) == error.error_count() and (minor or 0) > (split_schema(schema_id(name))[2] or 0):
-            return model.model_validate(_without(data, unknown))
+            return model.model_validate(_drop_fields(data, unknown))
         raise ArtifactError(f"{manifest.schema_id}: {first_error(error)}; re-run the stage that wrote it") from error
 
 
-def _without(data: dict[str, Any], unknown: list[Location]) -> dict[str, Any]:
+def _drop_fields(data: dict[str, Any], unknown: list[Location]) -> dict[str, Any]:
     """The data less the fields at these places. Tags of unions stand in a place but not in the data: passed over."""
     here = {at[0] for at in unknown if len(at) == 1}
-    return {key: _below(value, key, unknown) for key, value in data.items() if key not in here}
+    return {key: _drop_below(value, key, unknown) for key, value in data.items() if key not in here}
 
 
-def _below(value: Any, key: int | str, unknown: list[Location]) -> Any:
+def _drop_below(value: Any, key: int | str, unknown: list[Location]) -> Any:
     deeper = [at[1:] for at in unknown if at[0] == key and len(at) > 1]
     if isinstance(value, dict):
         fields = cast(dict[str, Any], value)
-        return _without(fields, [at if at[0] in fields or len(at) == 1 else at[1:] for at in deeper])
+        return _drop_fields(fields, [at if at[0] in fields or len(at) == 1 else at[1:] for at in deeper])
     if isinstance(value, list):
-        return [_below(item, i, deeper) for i, item in enumerate(cast(list[Any], value))]
+        return [_drop_below(item, i, deeper) for i, item in enumerate(cast(list[Any], value))]
     return value
 
 

@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.artifacts.masks import MaskRequest
-from inpaint3d.contracts.model import Closed, FrameName, RelativePath
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest
+from inpaint3d.contracts.models.base import Closed, FrameName, RelativePath
 
 
 class Source(Closed):

@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints, field_validator
 
-from inpaint3d.contracts.artifacts import SCHEMAS
-from inpaint3d.contracts.documents import line_of, load_document
 from inpaint3d.contracts.errors import MEANINGS, ConfigurationError
-from inpaint3d.contracts.manifest import SchemaId, split_schema
-from inpaint3d.contracts.model import Closed, PortName
+from inpaint3d.contracts.models.artifacts import SCHEMAS
+from inpaint3d.contracts.models.base import Closed, PortName
+from inpaint3d.contracts.models.documents import line_of, load_document
+from inpaint3d.contracts.models.manifest import SchemaId, split_schema
 
 API_VERSION = "inpaint3d/v1"
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*$")]
@@ -72,7 +72,7 @@ class StageBody(Closed):
 
     @field_validator("exitCodes")
     @classmethod
-    def _with_those_of_all(cls, given: dict[str, str]) -> dict[str, str]:
+    def _merge_common_codes(cls, given: dict[str, str]) -> dict[str, str]:
         merged = {**MEANINGS, **given}
         return {code: merged[code] for code in sorted(merged, key=int)}
 

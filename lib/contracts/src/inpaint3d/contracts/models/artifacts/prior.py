@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from inpaint3d.contracts.model import Closed, Finite, Positive, RelativePath, Share
+from inpaint3d.contracts.models.base import Closed, Finite, Positive, RelativePath, Share
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -50,7 +50,7 @@ class PriorSpec(Closed):
     condition_dropout: Share = 0.1
 
     @model_validator(mode="after")
-    def _residual_needs_a_fill(self) -> "PriorSpec":
+    def _check_residual_has_a_fill(self) -> "PriorSpec":
         if self.prediction == "residual" and self.condition != "mask-channel":
             raise ValueError("prediction 'residual' is about the fill, which only condition 'mask-channel' has")
         return self
@@ -78,7 +78,7 @@ class DiffusionPrior(Closed):
     non_finite: dict[str, int] = {}
 
     @model_validator(mode="after")
-    def _runtime_is_there(self) -> "DiffusionPrior":
+    def _check_runtime_is_there(self) -> "DiffusionPrior":
         if self.runtime == "onnxruntime" and self.onnx is None:
             raise ValueError("runtime 'onnxruntime' needs the network as ONNX: name its file in 'onnx'")
         return self

@@ -16,7 +16,7 @@ RelativePath = Annotated[
     str,
     # Forward slashes, no leading slash, no "..": a path can never leave its artifact.
     StringConstraints(pattern=r"^[^/\\]+(/[^/\\]+)*$"),
-    AfterValidator(lambda path: StoredPath(_inside(path))),
+    AfterValidator(lambda path: StoredPath(_check_inside(path))),
 ]
 PortName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*$")]
 FrameName = Annotated[
@@ -35,7 +35,7 @@ Pose = Annotated[
 ]
 
 
-def _inside(path: str) -> str:
+def _check_inside(path: str) -> str:
     if ".." in path.split("/"):
         raise ValueError("a path may not leave its artifact")
     return path

@@ -1,4 +1,4 @@
-"""The store in a bucket (S3 or what speaks it), with the layout of `store`, and a local folder as its cache.
+"""The store in a bucket (S3 or what speaks it), with the layout of `base`, and a local folder as its cache.
 
 An artifact is there once its manifest is: files go up first, the manifest last. A key is committed by a conditional
 put, so that of many pods computing one key a single result counts. Connections that break are tried again with
@@ -23,11 +23,12 @@ import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PermissionDeniedError, UnauthenticatedError
 from obstore.store import S3Store
 
-from inpaint3d.contracts.canonical import CHUNK, digest_of_chunks, file_digest
 from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, RetryableError, StorageError
-from inpaint3d.contracts.manifest import MANIFEST, Manifest
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.store import Store, folder_damage, hex_of, object_file
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.canonical import CHUNK, digest_of_chunks, file_digest
+from inpaint3d.contracts.models.manifest import MANIFEST, Manifest
+from inpaint3d.contracts.store.artifact import find_folder_damage, hex_of, object_file
+from inpaint3d.contracts.store.base import Store
 
 client: Any = obstore  # its stubs name libraries that are not installed
 CACHE = "INPAINT3D_CACHE"
@@ -45,10 +46,9 @@ class BucketStore(Store):
             raise ConfigurationError(
                 f"--store {place}: write s3://BUCKET/PREFIX; credentials come from the environment"
             )
-        super().__init__(cache or Path(os.environ.get(CACHE, "~/.cache/inpaint3d")).expanduser())
-        self.place = place.rstrip("/")
+        super().__init__(cache or Path(os.environ.get(CACHE, "~/.cache/inpaint3d")).expanduser(), place.rstrip("/"))
         endpoint = os.environ.get("AWS_ENDPOINT_URL", "")
-        with self._talking():
+        with self._translate_errors():
             self._bucket = S3Store(
                 url.netloc,
                 prefix=url.path.strip("/") or None,
@@ -58,18 +58,18 @@ class BucketStore(Store):
             )
 
     def read(self, path: str) -> bytes | None:
-        with self._talking():
+        with self._translate_errors():
             try:
                 return bytes(client.get(self._bucket, path).bytes())
             except FileNotFoundError:
                 return None
 
     def write(self, path: str, data: bytes) -> None:
-        with self._talking():
+        with self._translate_errors():
             client.put(self._bucket, path, data, use_multipart=False)
 
     def create(self, path: str, data: bytes) -> bool:
-        with self._talking():
+        with self._translate_errors():
             try:
                 client.put(self._bucket, path, data, mode="create")
             except AlreadyExistsError:
@@ -77,15 +77,15 @@ class BucketStore(Store):
         return True
 
     def retire(self, path: str) -> None:
-        with self._talking(), contextlib.suppress(FileNotFoundError):
+        with self._translate_errors(), contextlib.suppress(FileNotFoundError):
             client.rename(self._bucket, path, f"quarantine/{secrets.token_hex(4)}/{Path(path).name}")
 
     def remove(self, path: str) -> None:
-        with self._talking(), contextlib.suppress(FileNotFoundError):
+        with self._translate_errors(), contextlib.suppress(FileNotFoundError):
             client.delete(self._bucket, path)
 
     def names(self, folder: str) -> list[str]:
-        with self._talking():
+        with self._translate_errors():
             listed = client.list_with_delimiter(self._bucket, folder)
         paths = [*listed["common_prefixes"], *(entry["path"] for entry in listed["objects"])]
         return sorted(Path(path).name for path in paths)
@@ -94,56 +94,56 @@ class BucketStore(Store):
         """Its folder in the cache, fetched if need be. One that is damaged in the bucket is quarantined there."""
         folder = self.object_path(digest)
         with self.lock(digest):
-            if folder_damage(folder, digest) is not None:
+            if find_folder_damage(folder, digest) is not None:
                 shutil.rmtree(folder, ignore_errors=True)
-                self._fetch(digest)
+                self._download(digest)
         return folder
 
-    def damage(self, digest: Digest) -> str | None:
+    def find_damage(self, digest: Digest) -> str | None:
         """What is wrong with an artifact in the bucket (every byte is read), or None."""
         try:
             manifest = self.manifest(digest)
         except ArtifactError as error:
             return str(error)
-        if difference := self._difference(digest, manifest):
+        if difference := self._compare_listing(digest, manifest):
             return difference
         for entry in manifest.files:
             path = object_file(digest, entry.path)
-            with self._talking():
-                found = digest_of_chunks(self._chunks(path))
+            with self._translate_errors():
+                found = digest_of_chunks(self._stream(path))
             if found != f"sha256:{entry.sha256}":
                 return f"{self.place}/{path} is not what was written (sha256 differs)"
         return None
 
-    def whole(self, digest: Digest) -> bool:
+    def is_whole(self, digest: Digest) -> bool:
         """Whether the manifest is right and every file is there in its size. Bytes are hashed when they are fetched."""
         try:
-            return self._difference(digest, self.manifest(digest)) is None
+            return self._compare_listing(digest, self.manifest(digest)) is None
         except ArtifactError:
             return False
 
-    def present(self, digest: Digest) -> bool:
+    def is_present(self, digest: Digest) -> bool:
         return self.read(object_file(digest, MANIFEST)) is not None
 
     def size(self, digest: Digest) -> int:
-        return sum(self._sizes(digest).values())
+        return sum(self._list_sizes(digest).values())
 
     def quarantine(self, digest: Digest) -> None:
         """Move an artifact out of sight, its manifest first, and forget the cached copy."""
         target = f"quarantine/{secrets.token_hex(4)}/{hex_of(digest)}"
-        for path in sorted(self._sizes(digest), key=lambda p: p != MANIFEST):
-            with self._talking(), contextlib.suppress(FileNotFoundError):
+        for path in sorted(self._list_sizes(digest), key=lambda p: p != MANIFEST):
+            with self._translate_errors(), contextlib.suppress(FileNotFoundError):
                 client.rename(self._bucket, object_file(digest, path), f"{target}/{path}")
         shutil.rmtree(self.object_path(digest), ignore_errors=True)
 
     def drop_object(self, digest: Digest) -> None:
-        for path in sorted(self._sizes(digest), key=lambda p: p != MANIFEST):
+        for path in sorted(self._list_sizes(digest), key=lambda p: p != MANIFEST):
             self.remove(object_file(digest, path))
         shutil.rmtree(self.object_path(digest), ignore_errors=True)
 
-    def _place(self, folder: Path, manifest: Manifest) -> Digest:
-        digest = super()._place(folder, manifest)
-        there = self._sizes(digest)
+    def _publish(self, folder: Path, manifest: Manifest) -> Digest:
+        digest = self.keep(folder, manifest)
+        there = self._list_sizes(digest)
         local = self.object_path(digest)
         for entry in manifest.files:
             if there.get(entry.path) != entry.size:
@@ -152,13 +152,13 @@ class BucketStore(Store):
         return digest
 
     def _upload(self, source: Path, path: str) -> None:
-        with self._talking():
+        with self._translate_errors():
             client.put(self._bucket, path, source, chunk_size=PART, max_concurrency=4)
 
-    def _fetch(self, digest: Digest) -> None:
+    def _download(self, digest: Digest) -> None:
         """Bring an artifact into the cache. Files that an earlier try brought whole are not fetched again."""
         manifest = self.manifest(digest)
-        if difference := self._difference(digest, manifest):
+        if difference := self._compare_listing(digest, manifest):
             self._refuse(digest, difference)
         arriving = self.work_folder(digest)
         for entry in manifest.files:
@@ -166,18 +166,18 @@ class BucketStore(Store):
             if target.is_file() and file_digest(target) == f"sha256:{entry.sha256}":
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
-            with self._talking(), target.open("wb") as file:
-                file.writelines(self._chunks(path))
+            with self._translate_errors(), target.open("wb") as file:
+                file.writelines(self._stream(path))
             if file_digest(target) != f"sha256:{entry.sha256}":
                 self.drop_work(digest)
                 self._refuse(digest, f"{self.place}/{path} is not what was written (sha256 differs)")
-        super()._place(arriving, manifest)
+        self.keep(arriving, manifest)
 
-    def _difference(self, digest: Digest, manifest: Manifest) -> str | None:
+    def _compare_listing(self, digest: Digest, manifest: Manifest) -> str | None:
         """What the bucket's listing says against the manifest, or None."""
         if manifest.digest != digest:
             return f"{self.place}/{object_file(digest, MANIFEST)} does not hash to {digest}"
-        there = self._sizes(digest)
+        there = self._list_sizes(digest)
         for entry in manifest.files:
             if entry.path not in there:
                 return f"{self.place}/{object_file(digest, entry.path)} is missing"
@@ -187,18 +187,18 @@ class BucketStore(Store):
             return f"{self.place}/{object_file(digest, '')} holds files of nobody's: {sorted(extra)[:3]}"
         return None
 
-    def _sizes(self, digest: Digest) -> dict[str, int]:
+    def _list_sizes(self, digest: Digest) -> dict[str, int]:
         """Relative path -> bytes of all that lies under a digest."""
         folder = f"objects/{hex_of(digest)}/"
-        with self._talking():
+        with self._translate_errors():
             pages = client.list(self._bucket, folder, chunk_size=1000)
             return {entry["path"].removeprefix(folder): entry["size"] for page in pages for entry in page}
 
-    def _chunks(self, path: str) -> Iterator[bytes]:
+    def _stream(self, path: str) -> Iterator[bytes]:
         return (bytes(chunk) for chunk in client.get(self._bucket, path).stream(CHUNK))
 
     @contextlib.contextmanager
-    def _talking(self) -> Generator[None]:
+    def _translate_errors(self) -> Generator[None]:
         """Give the client library's errors the tree's names."""
         try:
             yield

@@ -24,12 +24,13 @@ from typing import Any, TextIO, cast
 
 from pydantic import Field, ValidationError, field_validator
 
-from inpaint3d.contracts.context import Context, Inputs, Outputs
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, from_os_error
-from inpaint3d.contracts.keys import code_digest, key_components, run_key
-from inpaint3d.contracts.manifest import first_error
-from inpaint3d.contracts.model import Closed, Digest
-from inpaint3d.contracts.stage import StageSpec, load_stage
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.keys import code_digest, key_components, run_key
+from inpaint3d.contracts.kit.provenance import describe_provenance
+from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.manifest import first_error
+from inpaint3d.contracts.models.stage import StageSpec, load_stage
 from inpaint3d.contracts.store import Record, Store, open_store
 
 STAGE_YAML = "INPAINT3D_STAGE_YAML"
@@ -50,7 +51,7 @@ class Invocation(Closed):
 
     @field_validator("inputs", mode="before")
     @classmethod
-    def _without_absent(cls, inputs: dict[str, Any]) -> dict[str, Any]:
+    def _drop_absent(cls, inputs: dict[str, Any]) -> dict[str, Any]:
         """A manifest has no way to leave an input out: what an optional output did not give is empty there."""
         present: dict[str, Any] = {}
         for port, given in inputs.items():
@@ -84,8 +85,8 @@ def serve(module: str) -> None:
         return
     # The first process of a container is deaf to what it has no handler for, and imports take seconds.
     signal.signal(signal.SIGTERM, _leave_at_once)
-    with _events() as events:
-        sys.exit(_guarded(module, options.store, options.invocation, options.outputs, events))
+    with _open_events() as events:
+        sys.exit(_run_guarded(module, options.store, options.invocation, options.outputs, events))
 
 
 def _leave_at_once(_number: int, _frame: object) -> None:
@@ -108,7 +109,7 @@ def execute(module: str, store: Store, invocation: Invocation, events: TextIO) -
     spec = stage_spec(module)
     components = components_of(module, spec, invocation)
     key = run_key(components)
-    with store.in_use(), store.lock(key):
+    with store.shared(), store.lock(key):
         if (record := store.lookup(key)) is None:
             store.sweep_tmp()
             record = _run(module, spec, store, invocation, key, components, events)
@@ -146,8 +147,8 @@ def _run(
     ctx = Context(seed=invocation.seed, device=invocation.device, threads=invocation.threads, work=work, emit=emit)
     inputs, outputs = Inputs(store, spec, invocation.inputs), Outputs(store, spec)
     started = datetime.datetime.now(datetime.UTC)
-    method = _method(module, stub=invocation.stub)
-    with _stopping(ctx):
+    method = _import_method(module, stub=invocation.stub)
+    with _stop_on_signals(ctx):
         method(config, inputs, outputs, ctx)
         produced = outputs.store_all()
     record = Record(
@@ -155,7 +156,7 @@ def _run(
         stage=spec.id,
         components=components,
         outputs=produced,
-        provenance=_provenance(spec, key, components, produced, started),
+        provenance=describe_provenance(spec, key, components, produced, started),
         timings=ctx.timings(),
     )
     record = store.commit(record)
@@ -175,51 +176,12 @@ def config_of(module: str, spec: StageSpec, parameters: dict[str, Any]) -> Any:
         ) from error
 
 
-def _method(module: str, *, stub: bool) -> Any:
+def _import_method(module: str, *, stub: bool) -> Any:
     name = "stub" if stub else "run"
     return getattr(importlib.import_module(f"{module}.{name}"), name)
 
 
-def _provenance(
-    spec: StageSpec,
-    key: Digest,
-    components: dict[str, Any],
-    produced: dict[str, Digest],
-    started: datetime.datetime,
-) -> dict[str, Any]:
-    """An in-toto statement with the SLSA v1 provenance predicate."""
-    flat = [(port, d) for port, ds in components["inputs"].items() for d in ([ds] if isinstance(ds, str) else ds)]
-    return {
-        "_type": "https://in-toto.io/Statement/v1",
-        "subject": [{"name": port, "digest": _sha256(d)} for port, d in produced.items()],
-        "predicateType": "https://slsa.dev/provenance/v1",
-        "predicate": {
-            "buildDefinition": {
-                "buildType": f"urn:inpaint3d:stage:{spec.id}",
-                "externalParameters": components["parameters"],
-                "internalParameters": {"seed": components["seed"], "device": components["device"]},
-                "resolvedDependencies": [
-                    {"name": "code", "digest": _sha256(components["code"])},
-                    *({"name": port, "digest": _sha256(d)} for port, d in flat),
-                ],
-            },
-            "runDetails": {
-                "builder": {"id": spec.spec.image},
-                "metadata": {
-                    "invocationId": key,
-                    "startedOn": started.isoformat(),
-                    "finishedOn": datetime.datetime.now(datetime.UTC).isoformat(),
-                },
-            },
-        },
-    }
-
-
-def _sha256(digest: Digest) -> dict[str, str]:
-    return {"sha256": digest.removeprefix("sha256:")}
-
-
-def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | None, events: TextIO) -> int:
+def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path | None, events: TextIO) -> int:
     """Run, and turn whatever happens into an event and an exit code."""
     # Its name without its stage.yaml, which may be what fails.
     stage = module.rpartition(".")[2].replace("_", "-")
@@ -235,7 +197,7 @@ def _guarded(module: str, place: str, invocation_file: Path, outputs: Path | Non
         announce_threads(invocation.threads)
         record = execute(module, open_store(place), invocation, events)
         if outputs is not None:
-            _leave(outputs, stage_spec(module), record)
+            _write_outputs(outputs, stage_spec(module), record)
     except Inpaint3dError as error:
         failure, trace = error, None
     except OSError as error:
@@ -261,7 +223,7 @@ def announce_threads(count: int) -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
-def _leave(folder: Path, spec: StageSpec, record: Record) -> None:
+def _write_outputs(folder: Path, spec: StageSpec, record: Record) -> None:
     """One file for each port; that of an optional output that there is not is empty."""
     folder.mkdir(parents=True, exist_ok=True)
     for port in spec.spec.outputs:
@@ -269,7 +231,7 @@ def _leave(folder: Path, spec: StageSpec, record: Record) -> None:
 
 
 @contextlib.contextmanager
-def _events() -> Generator[TextIO]:
+def _open_events() -> Generator[TextIO]:
     """The event stream on the real standard output; descriptor 1 goes to standard error for everybody else."""
     descriptor = os.dup(1)
     os.dup2(2, 1)
@@ -278,7 +240,7 @@ def _events() -> Generator[TextIO]:
 
 
 @contextlib.contextmanager
-def _stopping(ctx: Context) -> Generator[None]:
+def _stop_on_signals(ctx: Context) -> Generator[None]:
     """Turn SIGTERM and SIGINT into InterruptedRun at the next progress call; leave by force after a grace."""
 
     def leave() -> None:

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Finite, RelativePath, Vector3
+from inpaint3d.contracts.models.base import Closed, Finite, RelativePath, Vector3
 
 
 class Metric(Closed):

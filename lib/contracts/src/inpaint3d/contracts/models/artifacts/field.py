@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Finite, FrameName, Positive, RelativePath
+from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Positive, RelativePath
 
 Count = Annotated[int, Field(ge=1)]
 

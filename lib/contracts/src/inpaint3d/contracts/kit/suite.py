@@ -1,6 +1,6 @@
 """The contract suite: what every stage must do, whatever it computes. `test_contract.py` of a stage is three lines.
 
-    from inpaint3d.contracts.suite import stage_contract
+    from inpaint3d.contracts.kit.suite import stage_contract
     TestContract = stage_contract(__file__)
 
 Inputs are made by the stubs of the stages upstream in the repository's `pipeline.yaml`, so that each run also proves
@@ -18,15 +18,15 @@ from typing import Any, ClassVar
 
 import pytest
 
-from inpaint3d.contracts.artifacts import MaskRequestArtifact, Source
-from inpaint3d.contracts.artifacts.masks import MaskRequest
-from inpaint3d.contracts.documents import load_yaml
-from inpaint3d.contracts.manifest import compatible
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.pipeline import Pipeline
-from inpaint3d.contracts.shim import Invocation
-from inpaint3d.contracts.stage import StageSpec, load_stage
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.models.artifacts import MaskRequestArtifact, Source
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.documents import load_yaml
+from inpaint3d.contracts.models.manifest import is_compatible
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.stage import StageSpec, load_stage
+from inpaint3d.contracts.store import FolderStore, Store
 
 TENSOR_LIBRARIES = ("torch", "pycolmap", "onnxruntime")
 DAMAGED: Digest = "sha256:" + "0" * 64
@@ -37,7 +37,7 @@ class Upstream:
 
     def __init__(self, pipeline: Pipeline, node: str, store: Store) -> None:
         self.pipeline, self.node, self.store = pipeline, node, store
-        self.produced: dict[str, Digest] = external_artifacts(store)
+        self.produced: dict[str, Digest] = store_externals(store)
         for name in pipeline.order:
             if node in pipeline.downstream(name):
                 result = invoke(pipeline.stages[name], store, self.inputs_of(name), stub=True)
@@ -67,7 +67,7 @@ class Result:
         self.error: str = last.get("message", "")
 
 
-def command(spec: StageSpec, store: Store, invocation: Invocation) -> list[str]:
+def build_command(spec: StageSpec, store: Store, invocation: Invocation) -> list[str]:
     """The command line that runs a stage on this machine, its invocation written below the store."""
     folder = store.private_folder()
     (folder / "invocation.json").write_text(invocation.model_dump_json())
@@ -79,11 +79,11 @@ def command(spec: StageSpec, store: Store, invocation: Invocation) -> list[str]:
 
 def invoke(spec: StageSpec, store: Store, inputs: dict[str, Any], **options: Any) -> Result:
     """Run a stage as a process on artifacts of the store."""
-    line = command(spec, store, Invocation(inputs=inputs, threads=1, **options))
+    line = build_command(spec, store, Invocation(inputs=inputs, threads=1, **options))
     return Result(subprocess.run(line, capture_output=True, text=True, check=False))
 
 
-def external_artifacts(store: Store) -> dict[str, Digest]:
+def store_externals(store: Store) -> dict[str, Digest]:
     """A source and a mask request, as the orchestrator would take them in."""
     folder = store.private_folder()
     (folder / "raw").mkdir()
@@ -94,7 +94,7 @@ def external_artifacts(store: Store) -> dict[str, Digest]:
     return {"external.capture": source, "external.mask-request": mask}
 
 
-def committed_keys(store: Store) -> set[str]:
+def list_committed_keys(store: Store) -> set[str]:
     return {r.key for r in store.records()}
 
 
@@ -110,7 +110,7 @@ class StageContract:
         pipeline = Pipeline(repository / "pipeline.yaml").under(None)
         stage = f"stages/{cls.folder.name}"
         node = [n for n in pipeline.order if pipeline.nodes[n].stage == stage][-1]
-        return Upstream(pipeline, node, Store(tmp_path_factory.mktemp("store")))
+        return Upstream(pipeline, node, FolderStore(tmp_path_factory.mktemp("store")))
 
     @pytest.fixture(scope="class")
     @classmethod
@@ -164,7 +164,7 @@ class StageContract:
         for port, digest in real.outputs.items():
             manifest = upstream.store.manifest(digest)
             assert manifest.schema_id == spec.spec.outputs[port].schema_id
-            assert upstream.store.damage(digest) is None
+            assert upstream.store.find_damage(digest) is None
 
     def test_stub_is_valid_without_a_tensor_library(self, upstream: Upstream, spec: StageSpec) -> None:
         result = invoke(spec, upstream.store, upstream.inputs_of(upstream.node), stub=True)
@@ -183,30 +183,30 @@ class StageContract:
                 for reference in references:
                     node, _, output = reference.partition(".")
                     if node in upstream.pipeline.nodes and upstream.pipeline.stages[node].id == spec.id:
-                        assert compatible(spec.spec.outputs[output].schema_id, wanted)
+                        assert is_compatible(spec.spec.outputs[output].schema_id, wanted)
 
     def test_missing_input_is_bad_input_and_commits_nothing(self, upstream: Upstream, spec: StageSpec) -> None:
-        before = committed_keys(upstream.store)
+        before = list_committed_keys(upstream.store)
         ports = upstream.inputs_of(upstream.node)
         broken: dict[str, Any] = {p: ([DAMAGED] if isinstance(d, list) else DAMAGED) for p, d in ports.items()}
         result = invoke(spec, upstream.store, broken)
         assert result.code == 3, result.stderr
         assert "is not in the store" in result.error
-        assert committed_keys(upstream.store) == before
+        assert list_committed_keys(upstream.store) == before
 
     def test_unknown_parameter_is_a_configuration_error(
         self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any]
     ) -> None:
-        before = committed_keys(upstream.store)
+        before = list_committed_keys(upstream.store)
         result = invoke(spec, upstream.store, inputs, parameters={"no_such_parameter": 1})
         assert result.code == 2, result.stderr
         assert "no_such_parameter" in result.error
-        assert committed_keys(upstream.store) == before
+        assert list_committed_keys(upstream.store) == before
 
     def test_same_input_gives_the_same_digest(
         self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any], real: Result
     ) -> None:
-        again = Store(upstream.store.root.parent / f"{upstream.store.root.name}-again")
+        again = FolderStore(upstream.store.root.parent / f"{upstream.store.root.name}-again")
         (again.root / "objects").rmdir()
         (again.root / "objects").symlink_to(upstream.store.root / "objects")
         repeated = invoke(spec, again, inputs, parameters=tiny)
@@ -221,8 +221,8 @@ class StageContract:
         self, upstream: Upstream, spec: StageSpec, inputs: dict[str, Any], tiny: dict[str, Any]
     ) -> None:
         """Stopped as soon as it starts to work: exit 143 (or 0, where it was already done), nothing half-committed."""
-        before = committed_keys(upstream.store)
-        line = command(spec, upstream.store, Invocation(inputs=inputs, threads=1, parameters=tiny, seed=1))
+        before = list_committed_keys(upstream.store)
+        line = build_command(spec, upstream.store, Invocation(inputs=inputs, threads=1, parameters=tiny, seed=1))
         process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         assert process.stdout is not None
         first = process.stdout.readline()
@@ -232,7 +232,7 @@ class StageContract:
         process.communicate()
         assert time.monotonic() - stopped_at < 30
         assert process.returncode in (143, 0)
-        committed = committed_keys(upstream.store) - before
+        committed = list_committed_keys(upstream.store) - before
         assert len(committed) == (1 if process.returncode == 0 else 0)
 
     def test_describe_prints_the_spec(self, spec: StageSpec) -> None:

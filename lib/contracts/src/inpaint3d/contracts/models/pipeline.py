@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints
 
-from inpaint3d.contracts.documents import Location, line_of, load_document
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.manifest import compatible, split_schema
-from inpaint3d.contracts.model import Closed, PortName
-from inpaint3d.contracts.stage import Name, StageSpec, load_stage
+from inpaint3d.contracts.models.base import Closed, PortName
+from inpaint3d.contracts.models.documents import Location, line_of, load_document
+from inpaint3d.contracts.models.manifest import is_compatible, split_schema
+from inpaint3d.contracts.models.stage import Name, StageSpec, load_stage
 
 Reference = Annotated[
     str,
@@ -88,14 +88,14 @@ class Pipeline:
             self.stages[node.name] = load_stage(file)
         for i, node in enumerate(self.spec.spec.stages):
             self._check_ports(i, node)
-        self.order = self._ordered()
+        self.order = self._sort_nodes()
         self._check_presets()
 
     def under(self, preset: str | None) -> Self:
         """The pipeline with the nodes that a preset has; list ports lose their references to others."""
         there = {name for name, node in self.nodes.items() if node.belongs_to(preset)}
 
-        def kept(value: Reference | list[Reference]) -> Reference | list[Reference]:
+        def keep_present(value: Reference | list[Reference]) -> Reference | list[Reference]:
             single = isinstance(value, str)
             return value if single else [r for r in value if r.split(".")[0] in {*there, "external"}]
 
@@ -103,7 +103,7 @@ class Pipeline:
         chosen.order = [name for name in self.order if name in there]
         chosen.stages = {name: self.stages[name] for name in self.nodes if name in there}
         chosen.nodes = {
-            name: node.model_copy(update={"inputs": {port: kept(value) for port, value in node.inputs.items()}})
+            name: node.model_copy(update={"inputs": {port: keep_present(value) for port, value in node.inputs.items()}})
             for name, node in self.nodes.items()
             if name in there
         }
@@ -171,21 +171,21 @@ class Pipeline:
                 self._fail(at, f"{reference}: {source} has no output {name}; it has {outputs}")
                 return
             offered, optional = output.schema_id, output.optional
-            if not wanted.list and (lacking := self._lacking(self.nodes[source], node)):
+            if not wanted.list and (lacking := self._find_preset_without(self.nodes[source], node)):
                 self._fail(at, f"{reference}: preset {lacking} has {node.name}, but not {source}")
-        if not compatible(offered, wanted.schema_range):
+        if not is_compatible(offered, wanted.schema_range):
             self._fail(at, f"{reference} is {offered}, but {node.name}.{port} takes {wanted.schema_range}")
         if optional and not (wanted.optional or wanted.list):
             kind = split_schema(offered)[0]
             self._fail(at, f"{reference} may be absent, but {node.name}.{port} needs a {kind}")
 
-    def _lacking(self, source: Node, reader: Node) -> str | None:
+    def _find_preset_without(self, source: Node, reader: Node) -> str | None:
         """A preset that has the reader and not its source."""
         presets = (None, *self.spec.spec.presets)
         found = [p for p in presets if reader.belongs_to(p) and not source.belongs_to(p)]
         return (found[0] or "(none)") if found else None
 
-    def _ordered(self) -> list[str]:
+    def _sort_nodes(self) -> list[str]:
         graph = {name: self.upstream(name) for name in self.nodes}
         try:
             return list(graphlib.TopologicalSorter(graph).static_order())

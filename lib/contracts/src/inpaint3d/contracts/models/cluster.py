@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from inpaint3d.contracts.model import Closed, Digest
-from inpaint3d.contracts.stage import Name, Quantity
+from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.stage import Name, Quantity
 
 SceneName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 

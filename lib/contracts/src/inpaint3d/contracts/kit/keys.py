@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlparse
 
-from inpaint3d.contracts.canonical import digest_of, tree_digest
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.model import Digest
-from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.canonical import digest_of, tree_digest
+from inpaint3d.contracts.models.stage import StageSpec
 
 ALGORITHM = "1"
 IMAGE_DIGEST = "INPAINT3D_IMAGE_DIGEST"

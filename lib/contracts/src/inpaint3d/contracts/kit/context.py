@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from inpaint3d.contracts.canonical import canonical_json
 from inpaint3d.contracts.errors import ArtifactError, InterruptedRun
-from inpaint3d.contracts.manifest import compatible
-from inpaint3d.contracts.model import Closed, Digest
-from inpaint3d.contracts.stage import StageSpec
+from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.canonical import canonical_json
+from inpaint3d.contracts.models.manifest import is_compatible
+from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Artifact, Store
 
 M = TypeVar("M", bound=Closed)
@@ -49,7 +49,7 @@ class Inputs:
     def _open(self, port: str, digest: Digest, model: type[M]) -> Artifact[M]:
         wanted = self._spec.spec.inputs[port].schema_range
         written = self._store.manifest(digest).schema_id
-        if not compatible(written, wanted):
+        if not is_compatible(written, wanted):
             raise ArtifactError(f"{self._spec.id}: its input {port} takes {wanted}, got {written} ({digest})")
         return self._store.open(digest, model)
 
@@ -103,8 +103,8 @@ class Context:
         self.stopping = False
         self._emit = emit
         self._last_progress = self._last_clock = 0.0
-        self._start = (time.monotonic(), _cpu_seconds())
-        self._before = self._saved_clock()
+        self._start = (time.monotonic(), _measure_cpu_s())
+        self._before = self._load_clock()
 
     def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
         """Tell how far the work is, at most five times a second. Raises InterruptedRun once SIGTERM has come."""
@@ -131,7 +131,7 @@ class Context:
     def elapsed(self) -> tuple[float, float]:
         """Wall and CPU seconds of the work so far, those before a kill included."""
         wall, cpu = self._start
-        return self._before[0] + time.monotonic() - wall, self._before[1] + _cpu_seconds() - cpu
+        return self._before[0] + time.monotonic() - wall, self._before[1] + _measure_cpu_s() - cpu
 
     def timings(self) -> dict[str, Any]:
         """What the sidecar says of the run."""
@@ -143,10 +143,10 @@ class Context:
             "peak_memory_bytes": peak * 1024,
             "threads": self.threads,
             "non_finite": self.non_finite,
-            "series": self._series(),
+            "series": self._read_series(),
         }
 
-    def _series(self) -> dict[str, list[dict[str, Any]]]:
+    def _read_series(self) -> dict[str, list[dict[str, Any]]]:
         """The recorded rows. After a kill some steps were done twice: the later row counts."""
         path = self.work / "series.jsonl"
         series: dict[str, dict[Any, dict[str, Any]]] = {}
@@ -158,7 +158,7 @@ class Context:
             series.setdefault(row.pop("series"), {})[row.get("step", i)] = row
         return {name: list(rows.values()) for name, rows in series.items()}
 
-    def _saved_clock(self) -> tuple[float, float]:
+    def _load_clock(self) -> tuple[float, float]:
         try:
             wall, cpu = json.loads((self.work / "clock.json").read_text())
         except (OSError, ValueError):
@@ -172,6 +172,6 @@ class Context:
         staged.replace(self.work / "clock.json")
 
 
-def _cpu_seconds() -> float:
+def _measure_cpu_s() -> float:
     times = os.times()
     return times.user + times.system + times.children_user + times.children_system

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Finite
+from inpaint3d.contracts.models.base import Closed, Finite
 
 EffectName = Literal["contraction", "lens-distortion", "exposure", "view-dependence"]
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, Finite, FrameName, Pose, Positive, RelativePath, Share, Vector3
+from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath, Share, Vector3
 
 
 class LensModel(Closed):

@@ -4,8 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.artifacts.results import Protocol
-from inpaint3d.contracts.model import Closed, Digest
+from inpaint3d.contracts.models.artifacts.results import Protocol
+from inpaint3d.contracts.models.base import Closed, Digest
 
 Status = Literal["cached", "done", "failed", "waiting", "stopped", "skipped", "pending"]
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.model import Closed, FrameName, RelativePath, Share
+from inpaint3d.contracts.models.base import Closed, FrameName, RelativePath, Share
 
 SourceName = Literal["painted", "example", "prior", "smooth"]
 SOURCE_CODES: dict[SourceName, int] = {"painted": 1, "example": 2, "prior": 3, "smooth": 4}

@@ -1,0 +1,3 @@
+"""The stage kit: what a stage runs in (`shim`, `context`), what names its result (`keys`, `code`), what it is held to
+(`suite`).
+"""
