@@ -3,6 +3,7 @@
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
+from pydantic.config import JsonDict
 
 from inpaint3d.contracts.models.base import Closed, Finite, Share
 
@@ -48,7 +49,7 @@ class PriorSamples(Closed):
     min_supporting_views: Count = Field(default=2, description="unseen: other views that must know a surface")
 
 
-READS: dict[str, list[str]] = {
+READS: JsonDict = {
     "photo-completion": ["painted-views"],
     "classical": [],
     "prior-samples": ["diffusers-pipeline|diffusion-prior"],

@@ -6,8 +6,9 @@ from pydantic import Field
 
 from inpaint3d.contracts.models.base import Closed, FrameName, RelativePath, Share
 
-SourceName = Literal["painted", "example", "prior", "smooth"]
-SOURCE_CODES: dict[SourceName, int] = {"painted": 1, "example": 2, "prior": 3, "smooth": 4}
+Invented = Literal["painted", "example", "prior", "smooth"]
+Origin = Literal["photos", "painted", "example", "prior", "smooth"]
+SOURCE_CODES: dict[Invented, int] = {"painted": 1, "example": 2, "prior": 3, "smooth": 4}
 """Codes of a source map for what no photo shows: a person, patches of the view itself, a prior, a smooth fill."""
 FIRST_PHOTO = 16
 """Code of a source map: FIRST_PHOTO + i says that the colour is that of the photo of `views[i]`."""
@@ -27,7 +28,7 @@ class CompletedView(Closed):
         description="depth/NAME.exr: depth.Z along the axis with the hole's surface completed, scene units, at the "
         "size of the field's renders; None where the method makes no surface",
     )
-    shares: dict[Literal["photos", "painted", "example", "prior", "smooth"], Share] = Field(
+    shares: dict[Origin, Share] = Field(
         default={}, description="of the pixels that were filled, by source"
     )
 

@@ -10,6 +10,7 @@ import pkgutil
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
+from pydantic.config import JsonDict
 
 from inpaint3d.stages.joint_optimization.estimators.base import Estimator
 
@@ -33,7 +34,7 @@ def _name_estimator(given: Any) -> Any:
 ESTIMATORS = _find_estimators()
 """Name -> its class, which is the model of its parameters too."""
 
-READS = {name: list(kind.reads) for name, kind in ESTIMATORS.items()}
+READS: JsonDict = {name: list(kind.reads) for name, kind in ESTIMATORS.items()}
 """The optional ports that each reads; a|b: the first that is wired."""
 
 if TYPE_CHECKING:
