@@ -3,7 +3,7 @@
 Row numbers (S6, L3, ...) are those of docs/conformance.md, which also says what the paper's values are.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -21,6 +21,8 @@ Estimator = Literal[
 ]  # fmt: skip
 WITHOUT_GUIDE = ("none", "classical")
 WITHOUT_PRIOR = (*WITHOUT_GUIDE, "features", "reference")
+ASKED = ["diffusers-pipeline|diffusion-prior"]
+READS = {name: [] if name in WITHOUT_PRIOR else ASKED for name in get_args(Estimator)}
 
 
 class Config(Closed):
@@ -33,6 +35,7 @@ class Config(Closed):
         "features (VGG16 features of the rest of the scene, no prior); reference (what other photos show, the rest by "
         "example in a reference view, carried by depth; no prior); the prior by sds (the paper), nfsd, sdi, ism, "
         "vsd, denoised-target, dataset-update",
+        json_schema_extra={"x-reads": READS},
     )
     ranks: Count = Field(
         default=1,
@@ -69,6 +72,7 @@ class Config(Closed):
     start: Literal["initial-field", "fresh"] = Field(
         default="initial-field",
         description="where the field starts: from the initial field, where one is wired, or from nothing (the paper)",
+        json_schema_extra={"x-reads": {"initial-field": ["initial-field"], "fresh": []}},
     )
     warmup_steps: Steps = Field(
         default=200, description="reconstruction-only steps at the start; 0 with an initial field (S7)"
