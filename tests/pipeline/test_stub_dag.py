@@ -1,6 +1,7 @@
 """The whole DAG with stubs: scheduling, keys, reasons and results, in seconds and without numeric work."""
 
 import html
+import importlib
 import json
 import shutil
 
@@ -233,6 +234,8 @@ def test_every_preset_has_valid_parameters(preset, node):
     chosen = WHOLE.parameters(node, preset)
     whole = combine_parameters(WHOLE, node, preset, {})
     assert merge_parameters(whole, chosen) == whole
+    config = importlib.import_module(f"{WHOLE.stages[node].spec.module}.config").Config
+    assert whole == config.model_validate(chosen).model_dump(mode="json"), "defaults are those of the stage"
 
 
 @pytest.mark.parametrize("node", PIPELINE.order)
