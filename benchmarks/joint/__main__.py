@@ -60,7 +60,7 @@ from inpaint3d.contracts.models.artifacts import Evaluation
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.history import History, this_machine
-from inpaint3d.orchestrator.parameters import resolved
+from inpaint3d.orchestrator.parameters import resolve_parameters
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "joint.json"
@@ -143,7 +143,7 @@ class Bench:
 
     def _run(self, node: str, changes: Parameters, inputs: dict[str, Any], seed: int) -> Record:
         """A stage as the scheduler would start it; at once where the store has its result."""
-        parameters = resolved(self.pipeline, node, self.pipeline.parameters(node, None) | changes)
+        parameters = resolve_parameters(self.pipeline, node, self.pipeline.parameters(node, None) | changes)
         invocation = Invocation(parameters=parameters, inputs=inputs, seed=seed, threads=self.threads)
         module = self.pipeline.stages[node].spec.module
         with tempfile.NamedTemporaryFile("w", suffix=".json") as file:

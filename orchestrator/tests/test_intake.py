@@ -7,8 +7,8 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts import DiffusersPipeline
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Store
-from inpaint3d.orchestrator.foreign import pipeline_folder
-from inpaint3d.orchestrator.intake import take_capture, take_externals, take_pipeline
+from inpaint3d.orchestrator.diffusers_pipeline import find_pipeline_folder
+from inpaint3d.orchestrator.intake import locate_externals, take_capture, take_externals, take_pipeline
 
 REPOSITORY = Path(__file__).parents[2]
 INDEX = {"_class_name": "StableDiffusionInpaintPipeline", "unet": ["diffusers", "UNet2DConditionModel"]}
@@ -63,19 +63,18 @@ def test_a_pipeline_is_found_by_its_name_in_the_hubs_cache(tmp_path: Path, monke
     cached = tmp_path / "hub" / "models--somebody--inpainting"
     (cached / "refs").mkdir(parents=True)
     (cached / "refs" / "main").write_text("c0ffee")
-    assert pipeline_folder(Path("somebody/inpainting")) == cached / "snapshots" / "c0ffee"
+    assert find_pipeline_folder(Path("somebody/inpainting")) == cached / "snapshots" / "c0ffee"
     with pytest.raises(ConfigurationError, match="run `hf download somebody/else` first"):
-        pipeline_folder(Path("somebody/else"))
+        find_pipeline_folder(Path("somebody/else"))
 
 
 def test_either_kind_of_prior_is_given_by_one_option(store: Store, capture: Path, tmp_path: Path) -> None:
-    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")  # with all its nodes: one reads the one, one the other
     default, foreign, own = (
-        take_externals(store, pipeline, capture, mask=None, prior=prior, corpus=None)
+        take_externals(store, pipeline, capture, locate_externals(mask=None, prior=prior, corpus=None))
         for prior in (None, saved(tmp_path / "model"), REPOSITORY / "priors" / "general")
     )
     assert default == own
-    # The general prior is still fine-tuned on the capture and shown; the other is asked.
     assert set(foreign) - set(default) == {"diffusers-pipeline"}
     assert foreign["pretrained-prior"] == default["pretrained-prior"]
 

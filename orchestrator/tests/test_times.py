@@ -2,7 +2,7 @@
 
 from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.store import FolderStore, Record
-from inpaint3d.orchestrator.times import times_page
+from inpaint3d.orchestrator.times import render_times
 
 KEY = "sha256:" + "a" * 64
 MACHINE = Machine(processor="P", cores=2, memory_bytes=2**33, python="3.12")
@@ -18,7 +18,7 @@ def page(tmp_path, series, non_finite=None):
         id="i", name="n", pipeline="p", preset="draft", externals={}, status="done", started="", machine=MACHINE,
         nodes=(node,),
     )  # fmt: skip
-    return times_page(store, record)
+    return render_times(store, record)
 
 
 def test_stopping_earlier_is_told_against_the_end(tmp_path):

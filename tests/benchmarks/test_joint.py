@@ -17,7 +17,7 @@ from benchmarks.joint.rows import (
 )
 
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.orchestrator.parameters import resolved
+from inpaint3d.orchestrator.parameters import resolve_parameters
 from tests.conftest import REPOSITORY
 
 GOOD: Figures = {"psnr": 24.0, "ssim": 0.7, "lpips_vgg": 0.3, "gradient_share": 1.0, "opacity_mean": 0.99}
@@ -36,7 +36,7 @@ def measured(**rows: list[Figures]) -> Measured:
 def test_every_row_has_valid_parameters(row):
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
     changes = parameters_of(row, pipeline.parameters("joint-optimization", "paper"))
-    assert changes.items() <= resolved(pipeline, "joint-optimization", changes).items()
+    assert changes.items() <= resolve_parameters(pipeline, "joint-optimization", changes).items()
 
 
 def test_blur_is_not_a_fill_however_small_its_lpips():

@@ -9,7 +9,8 @@ import yaml
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.orchestrator.emit.argo import RETRY, checked, dump, emit
+from inpaint3d.orchestrator.configure import configure_submission
+from inpaint3d.orchestrator.emit.argo import LEFT_OUT, RETRY, check_types, dump, emit
 from inpaint3d.orchestrator.emit.check import check
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import HERE, TOY, cluster, golden, submission
@@ -31,11 +32,14 @@ def test_manifests_are_the_golden_ones(file):
 
 @pytest.mark.parametrize("preset", PIPELINE.spec.spec.presets)
 def test_the_whole_pipeline_passes_every_layer(preset):
-    documents = emit(PIPELINE, cluster(), submission(PIPELINE, preset=preset, device="cuda", awaitMasks=True))
+    asked = submission(PIPELINE, preset=preset, device="cuda", awaitMasks=True)
+    documents = emit(PIPELINE, cluster(), asked)
     assert check(documents, PIPELINE) == []
     assert list(yaml.safe_load_all(dump(documents))) == documents
     template = documents[0]["spec"]["templates"]
-    assert {t["name"] for t in template} == {"scenes", "scene", "await-mask", "record", *PIPELINE.under(preset).order}
+    configured = configure_submission(PIPELINE, asked)
+    assert {t["name"] for t in template} == {"scenes", "scene", "await-mask", "record", *configured.pipeline.order}
+    assert json.loads(documents[0]["metadata"]["annotations"][LEFT_OUT]) == configured.left_out != {}
 
 
 def test_a_node_of_a_preset_alone_has_its_seed():
@@ -47,12 +51,13 @@ def test_a_node_of_a_preset_alone_has_its_seed():
         for artifact in stage.get("inputs", {}).get("artifacts", []):
             seeds[stage["name"]] = json.loads(artifact["raw"]["data"])["seed"]
     assert (seeds["joint-optimization"], seeds["second-completion"], seeds["third-completion"]) == (10, 11, 12)
-    assert {seeds[name] for name in PIPELINE.under("standard").order} == {10, 4}
-    assert seeds["evaluation"] == 4
+    assert seeds.pop("evaluation") == 4
+    assert set(seeds.values()) == {10, 11, 12}
+    assert seeds["usd-export"] == 10
 
 
 def test_hera_gives_back_what_was_emitted(emitted):
-    assert [checked(copy.deepcopy(d)) for d in emitted] == emitted
+    assert [check_types(copy.deepcopy(d)) for d in emitted] == emitted
 
 
 def test_names_that_yaml_would_read_as_booleans_are_quoted():

@@ -31,6 +31,7 @@ PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
 TRAINING, JOINT = "diffusion-training", "joint-optimization"
 TINY = load_yaml(REPOSITORY / "stages" / "diffusion_training" / "tests" / "tiny.yaml")[0] | {"steps": 200}
 TINY_JOINT = load_yaml(REPOSITORY / "stages" / "joint_optimization" / "tests" / "tiny.yaml")[0] | {"ranks": 2}
+EVERY_NODE = {"compare": True, "overrides": {JOINT: {"estimator": "sds"}}}
 TWO_PODS = Path(__file__).with_name("two_pods.py")
 
 
@@ -93,10 +94,17 @@ def template(where, place, externals, images):
     def made(**options):
         at = where.model_copy(update={"spec": where.spec.model_copy(update={"store": place})})
         scene = Scene(name="tiny", externals=externals)
-        asked = Submission(**{"name": "test", "preset": None, "images": images, "scenes": (scene,), **options})
+        asked = submission_of(images, scene, **options)
         return emit(PIPELINE, at, asked)[0]
 
     return made
+
+
+def submission_of(images, scene, **options):
+    """One in which every node runs."""
+    overrides = EVERY_NODE["overrides"] | options.pop("overrides", {})
+    asked = {"name": "test", "preset": None, "images": images, "scenes": (scene,), **EVERY_NODE, **options}
+    return Submission(**(asked | {"overrides": overrides}))
 
 
 def values_of(node, produced):
@@ -266,7 +274,7 @@ def indexed(documents, place, pods, what):
 def test_the_recorder_writes_the_run(cluster, template, produced, store, externals, place, images):
     """The orchestrator's image as the exit handler."""
     scene = Scene(name="tiny", externals=externals)
-    asked = Submission(name="test", preset=None, stub=True, images=images, scenes=(scene,))
+    asked = submission_of(images, scene, stub=True)
     store.write("submissions/test.json", asked.model_dump_json().encode())
     documents = job_of(template(stub=True), "record", "record", {})
     container = documents[1]["spec"]["template"]["spec"]["containers"][0]

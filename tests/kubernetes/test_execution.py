@@ -9,6 +9,7 @@ from inpaint3d.contracts.models.cluster import Scene
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store.bucket import BucketStore
 from inpaint3d.orchestrator.cluster import prepare, supply_mask
+from inpaint3d.orchestrator.configure import configure_submission
 from inpaint3d.orchestrator.history import History
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import cluster, submission
@@ -55,6 +56,8 @@ def started(store, pipeline, tmp_path, **options):
 def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path):
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
     scene = Scene(name="kitchen", externals={"capture": capture(store, "kitchen")})
+    configured = configure_submission(pipeline, submission(pipeline, scenes=(scene,), awaitMasks=True))
+    order = configured.pipeline.order
     argo, workflow = started(store, pipeline, tmp_path, scenes=(scene,), awaitMasks=True)
     (tmp_path / "mask.yaml").write_text(MASK)
     asked = []
@@ -69,11 +72,12 @@ def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path):
     assert len(asked) == 1
     pods = [(p.where.rpartition(".")[2], p.phase) for p in argo.pods]
     assert ("nerf-pretraining", "Error") in pods
-    assert sorted(n for n, phase in pods if phase == "Succeeded") == sorted([*pipeline.order, "onExit"])
-    assert len(list(store.records())) == len(pipeline.order)
+    assert sorted(n for n, phase in pods if phase == "Succeeded") == sorted([*order, "onExit"])
+    assert len(list(store.records())) == len(order)
     run = History(store).latest("kitchen")
     assert run.status == "done"
-    assert {n.node for n in run.nodes if n.outputs} == set(pipeline.order)
+    assert {n.node for n in run.nodes if n.outputs} == set(order)
+    assert {n.node: n.reason for n in run.nodes if n.status == "left-out"} == configured.left_out != {}
 
 
 def test_scenes_fan_out_and_one_that_fails_stops_no_other(store, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from inpaint3d.contracts.models.artifacts import Capture, Truth
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, scenes_in, table_of
+from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, tabulate
 from inpaint3d.orchestrator.history import History
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
@@ -88,7 +88,7 @@ def test_a_scene_that_fails_is_left_out_and_decides_the_exit_code(cli, miniature
 
 def test_a_figure_that_a_scene_lacks_has_no_mean():
     scores = [SceneScore("a", "m", {"psnr": 20.0, "ssim": 0.5}), SceneScore("b", "m", {"psnr": 22.0}), SceneScore("c")]
-    table = table_of(DATASETS["spin-nerf"], scores)
+    table = tabulate(DATASETS["spin-nerf"], scores)
     assert table["mean"] == {"name": "mean of 2 of 3 scenes", "figures": {"psnr": 21.0}}
 
 
@@ -102,4 +102,4 @@ def test_what_is_no_data_set_is_told(cli, miniature, tmp_path):
     missing = cli("evaluate-dataset", "spin-nerf", str(miniature), "--scene", "tree")
     assert missing.returncode == 2
     assert "book, trash" in missing.stderr
-    assert [p.name for p in scenes_in(DATASETS["spin-nerf"], miniature, None)] == ["book", "trash"]
+    assert [p.name for p in find_scenes(DATASETS["spin-nerf"], miniature, None)] == ["book", "trash"]

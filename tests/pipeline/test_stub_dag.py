@@ -1,17 +1,23 @@
 """The whole DAG with stubs: scheduling, keys, reasons and results, in seconds and without numeric work."""
 
+import html
+import importlib
 import json
 import shutil
 
 import jsonschema
 import pytest
 
-from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.orchestrator.parameters import parameter_schema, resolved
+from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
+from inpaint3d.contracts.store import FolderStore
+from inpaint3d.orchestrator.configure import Settings, configure
+from inpaint3d.orchestrator.parameter_schema import parameter_schema
+from inpaint3d.orchestrator.parameters import combine_parameters
 from tests.conftest import REPOSITORY
 
 WHOLE = Pipeline(REPOSITORY / "pipeline.yaml")
 PIPELINE = WHOLE.under("standard")
+DEFAULT = configure(WHOLE, Settings("standard"), {"capture", "mask-request", "pretrained-prior"})
 MASK = "mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}\n"
 
 
@@ -30,14 +36,15 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     folder = cli.runs / "tiny"
     assert {"report.html", "scene.usdz", "metrics.json", "pictures"} <= {p.name for p in folder.iterdir()}
     assert "inpaint3d:run" not in (folder / "report.html").read_text()
-    assert set(cli.statuses().values()) == {"done"}
+    states = cli.statuses()
+    assert {n: s for n, s in states.items() if s != "done"} == dict.fromkeys(DEFAULT.left_out, "left-out")
     schema = json.loads((REPOSITORY / "schemas" / "report" / "1.json").read_text())
     jsonschema.validate(json.loads((folder / "metrics.json").read_text()), schema)
     assert cli("show", "tiny", "--json").stdout == (folder / "metrics.json").read_text()
 
     again = cli(*arguments)
     assert "nothing to be done" in again.stderr
-    assert set(cli.statuses().values()) == {"cached"}
+    assert set(cli.statuses().values()) == {"cached", "left-out"}
 
     changed = cli(*arguments, "--set", "joint-optimization.guidance=2")
     assert changed.returncode == 0, changed.stderr
@@ -45,7 +52,7 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     assert states["joint-optimization"] == "done"
     behind = {"joint-optimization", *PIPELINE.downstream("joint-optimization")}
     # Stubs ignore guidance, so what they write is the same and the cut-off is early: nothing behind runs again.
-    assert all(states[n] == "cached" for n in PIPELINE.order if n not in behind)
+    assert all(states[n] == "cached" for n in DEFAULT.pipeline.order if n not in behind)
     assert states["evaluation"] == "cached"
     why = cli("why", "tiny", "joint-optimization").stdout
     assert "parameters.guidance" in why
@@ -58,10 +65,10 @@ def test_a_preset_may_have_nodes_of_its_own(ran):
     states = cli.statuses("varied")
     assert set(states) == set(WHOLE.order) > set(PIPELINE.order)
     assert states["second-completion"] == states["third-completion"] == "done"
-    assert states["diffusion-training"] == "cached"
+    assert states["diffusion-training"] == states["continued-reconstruction"] == "left-out"
     (record,) = (cli.store / "runs" / "varied").glob("*.json")
     evaluation = next(n for n in json.loads(record.read_text())["nodes"] if n["node"] == "evaluation")
-    assert len(evaluation["components"]["inputs"]["radiance-fields"]) == 5
+    assert len(evaluation["components"]["inputs"]["radiance-fields"]) == 4
 
 
 def test_one_stage_can_have_a_seed_of_its_own(ran):
@@ -76,7 +83,7 @@ def test_two_runs_are_compared_by_what_they_made(ran):
     assert cli(*arguments, "--name", "again").returncode == 0
     same = cli("compare", "tiny", "again")
     assert same.returncode == 0, same.stdout
-    assert same.stdout.count("equal") >= len(PIPELINE.order)
+    assert same.stdout.count("equal") >= len(DEFAULT.pipeline.order)
     assert cli(*arguments, "--name", "seeded", "--seed", "1").returncode == 0
     other = cli("compare", "tiny", "seeded")
     assert other.returncode == 3
@@ -225,25 +232,84 @@ def test_scenes_fan_out(cli, tmp_path):
 @pytest.mark.parametrize("node", WHOLE.order)
 def test_every_preset_has_valid_parameters(preset, node):
     chosen = WHOLE.parameters(node, preset)
-    assert chosen.items() <= resolved(WHOLE, node, chosen).items()
+    whole = combine_parameters(WHOLE, node, preset, {})
+    assert merge_parameters(whole, chosen) == whole
+    config = importlib.import_module(f"{WHOLE.stages[node].spec.module}.config").Config
+    assert whole == config.model_validate(chosen).model_dump(mode="json"), "defaults are those of the stage"
 
 
 @pytest.mark.parametrize("node", PIPELINE.order)
 def test_parameter_schemas_are_json_schemas(node):
-    jsonschema.Draft202012Validator.check_schema(parameter_schema(PIPELINE, node))
+    jsonschema.Draft202012Validator.check_schema(parameter_schema(PIPELINE, node).written)
 
 
 def test_wrong_parameters_are_named(cli, capture):
     for assignment, says in (
-        ("joint-optimization.gidance=2", "no parameter gidance"),
+        ("usd-export.gird=2", "usd-export has no parameter gird; did you mean grid?"),
         ("joint-optimisation.guidance=2", "no stage joint-optimisation"),
-        ("joint-optimization.guidance=lots", "'lots' is not of type 'number'"),
+        ("usd-export.grid=lots", "usd-export.grid: 'lots' is not of type 'integer'"),
+        ("joint-optimization.ranks=3", "joint-optimization: rays 512 do not share out over 3 ranks"),
+        ("continued-reconstruction.steps=1", "changes nothing: continued-reconstruction is left out (a control"),
         ("guidance", "write STAGE.PARAM=VALUE"),
         ("joint-optimization.seed=-1", "a seed is a whole number"),
     ):
-        result = cli("run", str(capture), "--stub", "--set", assignment)
+        for command in ("run", "plan"):
+            result = cli(command, str(capture), "--stub", "--set", assignment)
+            assert result.returncode == 2
+            assert says in result.stderr, result.stderr
+    assert list(FolderStore(cli.store).objects()) == [], "nothing was taken in"
+
+
+@pytest.mark.parametrize("option", ["--corpus", "--prior"])
+def test_what_is_given_and_nothing_reads_is_refused(cli, capture, option):
+    given = str(REPOSITORY / "priors" / "general")
+    for command in ("run", "plan"):
+        result = cli(command, str(capture), "--stub", option, given)
         assert result.returncode == 2
-        assert says in result.stderr, result.stderr
+        assert f"{option} {given} changes nothing: diffusion-training, which reads it, is left out" in result.stderr
+        assert "--set joint-optimization.estimator=" in result.stderr
+
+
+def test_what_is_left_out_is_said_and_runs_when_it_is_asked_for(ran):
+    cli, arguments = ran
+    reason = "nothing asks for it: joint-optimization's estimator reference does not read diffusion-prior"
+    folder = cli.runs / "tiny"
+    stages = {s["node"]: s for s in json.loads((folder / "metrics.json").read_text())["stages"]}
+    assert stages["diffusion-training"]["reason"] == reason
+    assert stages["continued-reconstruction"]["reason"] == "a control; --compare runs it"
+    assert html.escape(reason) in (folder / "report.html").read_text()
+    assert reason in cli("why", "tiny", "diffusion-training").stdout
+    assert "left-out" in cli("show", "tiny").stdout
+    planned = {r["node"]: r for r in json.loads(cli("plan", *arguments[1:], "--json").stdout)}
+    assert (planned["diffusion-training"]["status"], planned["diffusion-training"]["reason"]) == ("left-out", reason)
+    assert "diffusion-prior" not in planned["evaluation"]["components"]["inputs"]
+
+    again = cli(*arguments, "--until", "diffusion-training")
+    assert "tiny: left out: continued-reconstruction (a control; --compare runs it)" in again.stderr
+    assert {n for n, s in cli.statuses().items() if s == "done"} == {"diffusion-training"}
+    cli(*arguments, "--compare")
+    assert {n for n, s in cli.statuses().items() if s == "done"} == {"continued-reconstruction", "evaluation"}
+    cli(*arguments, "--set", "joint-optimization.estimator=sds")
+    assert cli.statuses()["diffusion-training"] == "cached"
+    assert cli.statuses()["joint-optimization"] == "done"
+
+
+def test_a_view_that_the_capture_lacks_is_found_right_after_ingest(cli, tmp_path):
+    (tmp_path / "mask.yaml").write_text("mask: {kind: object, view: IMG_1, points: [[1, 2]]}\n")
+    capture = REPOSITORY / "stages" / "capture_ingest" / "tests" / "tiny_source"
+    arguments = (str(capture), "--name", "tiny", "--mask", str(tmp_path / "mask.yaml"))
+    result = cli("run", *arguments)
+    assert result.returncode == 2
+    assert f"{tmp_path / 'mask.yaml'}: mask.view: no view IMG_1; there are " in result.stderr
+    states = cli.statuses()
+    assert (states["capture-ingest"], states["pose-estimation"], states["mask-authoring"]) == (
+        "done", "pending", "failed",
+    )  # fmt: skip
+    planned = cli("plan", *arguments)
+    assert planned.returncode == 2
+    assert "no view IMG_1" in planned.stderr
+    (tmp_path / "mask.yaml").write_text("mask: {kind: object, veiw: IMG_1}\n")
+    assert "mask.yaml:1" in cli("plan", *arguments).stderr
 
 
 def test_missing_capture_is_bad_input(cli, tmp_path):

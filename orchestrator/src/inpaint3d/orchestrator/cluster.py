@@ -15,13 +15,12 @@ from inpaint3d.contracts.models.cluster import ClusterSpec, Scene, Submission
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import NodeRun, RunRecord
 from inpaint3d.contracts.store import Store
+from inpaint3d.orchestrator.configure import ConfiguredPipeline, configure_submission
 from inpaint3d.orchestrator.emit.argo import LABEL, Document, dump, emit
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.history import History, this_machine
-from inpaint3d.orchestrator.intake import take_mask_request
+from inpaint3d.orchestrator.intake import MASK_REQUEST, take_mask_request
 from inpaint3d.orchestrator.plan import Planner, Selection, preview
-
-MASK = "mask-request"
 
 
 def prepare(
@@ -47,16 +46,18 @@ def submit(cluster: ClusterSpec, documents: list[Document]) -> list[str]:
 def rerun(store: Store, pipeline: Pipeline, cluster: ClusterSpec, name: str, node: str, scenes: list[str]) -> list[str]:
     """Compute a node of a submission again, and what then changes behind it. All its scenes, or those named."""
     submission = load_submission(store, name)
-    if node not in (known := pipeline.under(submission.preset)).nodes:
-        raise ConfigurationError(f"no stage {node}; there are {', '.join(known.order)}")
+    configured = configure_submission(pipeline, submission)
+    if node not in configured.pipeline.nodes:
+        why = configured.left_out.get(node, f"there are {', '.join(configured.pipeline.order)}")
+        raise ConfigurationError(f"{name} has no stage {node}; {why}")
     known = {s.name: s for s in submission.scenes}
     if unknown := sorted(set(scenes) - set(known)):
         raise ConfigurationError(f"{name} has no scene {', '.join(unknown)}; it has {', '.join(known)}")
     picked = tuple(s for s in known.values() if not scenes or s.name in scenes)
-    waits = submission.awaitMasks and not all(MASK in s.externals for s in picked)
+    waits = submission.awaitMasks and not all(MASK_REQUEST in s.externals for s in picked)
     chosen = submission.model_copy(update={"scenes": picked, "awaitMasks": waits})
     for scene in chosen.scenes:
-        row = next(r for r in _rows(store, pipeline, chosen, scene) if r.node == node)
+        row = next(r for r in _rows(store, configured, chosen, scene) if r.node == node)
         if row.key is not None:
             store.forget(row.key)
     return submit(cluster, prepare(store, pipeline, cluster, chosen, suffix=f"-{secrets.token_hex(3)}"))
@@ -70,7 +71,7 @@ def load_submission(store: Store, name: str) -> Submission:
     submission = Submission.model_validate_json(data)
     supplied = {n: (store.read(f"masks/{name}/{n}") or b"").decode() for n in store.names(f"masks/{name}")}
     scenes = [
-        s.model_copy(update={"externals": {**s.externals, MASK: supplied[s.name]}}) if s.name in supplied else s
+        s.model_copy(update={"externals": {**s.externals, MASK_REQUEST: supplied[s.name]}}) if s.name in supplied else s
         for s in submission.scenes
     ]
     return submission.model_copy(update={"scenes": tuple(scenes)})
@@ -93,15 +94,16 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
     """Write a record of each scene's run, from what the store has under the keys that the scene has now."""
     now = datetime.datetime.now(datetime.UTC)
     records: list[RunRecord] = []
+    configured = configure_submission(pipeline, submission)
     for scene in submission.scenes:
-        rows = _rows(store, pipeline, submission, scene)
+        rows = _rows(store, configured, submission, scene)
         run = RunRecord(
             id=f"{now:%Y%m%dT%H%M%S%f}-{secrets.token_hex(2)}",
             name=scene.name,
             pipeline=str(pipeline.path),
             preset=submission.preset,
             externals=scene.externals,
-            status="done" if all(r.status == "cached" for r in rows) else "failed",
+            status="done" if all(r.status in ("cached", "left-out") for r in rows) else "failed",
             started=now.isoformat(),
             finished=now.isoformat(),
             machine=this_machine(),
@@ -112,16 +114,13 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
     return records
 
 
-def _rows(store: Store, pipeline: Pipeline, submission: Submission, scene: Scene) -> list[NodeRun]:
+def _rows(store: Store, configured: ConfiguredPipeline, submission: Submission, scene: Scene) -> list[NodeRun]:
     planner = Planner(
-        pipeline=pipeline.under(submission.preset),
+        configured=configured,
         store=store,
         history=History(store),
         name=scene.name,
-        preset=submission.preset,
         externals=scene.externals,
-        overrides=submission.overrides,
-        seed=submission.seed,
         device=submission.device,
         stub=submission.stub,
         images=submission.images,

@@ -18,28 +18,22 @@ from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.argo import dump
 from inpaint3d.orchestrator.emit.check import check
-from inpaint3d.orchestrator.intake import run_name, scenes_of, take_externals
+from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     IMAGES,
     STORE,
     Capture,
-    Corpus,
-    Device,
     Images,
-    Mask,
     PipelinePath,
-    Preset,
-    Prior,
-    Seed,
-    Set,
+    SceneRequest,
     StorePath,
-    Stub,
-)  # fmt: skip
+    with_options,
+)
 from inpaint3d.orchestrator.options import (
     Scene as Scenes,
 )
-from inpaint3d.orchestrator.parameters import parse_overrides
 from inpaint3d.orchestrator.plan import find_pipeline
+from inpaint3d.orchestrator.request import ConfiguredRequest
 
 emit_app = typer.Typer(no_args_is_help=True, help="Manifests for a cluster, and what is wrong with some.")
 
@@ -63,42 +57,33 @@ def _cluster(path: Path) -> ClusterSpec:
 
 
 @emit_app.command()
+@with_options
 def argo(
     capture: Capture,
-    mask: Mask = None,
-    preset: Preset = None,
+    request: SceneRequest,
     name: SubmissionName = None,
     scene: Scenes = None,
-    assignments: Set = None,
-    prior: Prior = None,
-    corpus: Corpus = None,
-    seed: Seed = 0,
-    device: Device = "cpu",
-    stub: Stub = False,
     await_masks: AwaitMasks = False,
     cluster: Cluster = CLUSTER,
     images: Images = IMAGES,
-    pipeline: PipelinePath = None,
 ) -> None:
     """Write a WorkflowTemplate and Workflows for Argo to standard output, for `submit`; captures go to the store."""
-    where, checked = _cluster(cluster), Pipeline(find_pipeline(pipeline))
+    where, configured = _cluster(cluster), ConfiguredRequest(request)
     store = open_store(where.spec.store)
-    scenes = [(path, run_name(path, given)) for path, given in scenes_of(capture, scene, None)]
+    scenes = [(path, name_run(path, given)) for path, given in list_scenes(capture, scene, None)]
     submission = Submission(
-        name=run_name(capture, name).lower().replace("_", "-"),
-        preset=preset or checked.spec.spec.defaultPreset,
-        overrides=parse_overrides(checked, assignments or []),
-        seed=seed,
-        device=device,
-        stub=stub,
+        name=name_run(capture, name).lower().replace("_", "-"),
+        preset=configured.pipeline.preset,
+        overrides=configured.overrides,
+        compare=request.compare,
+        seed=request.seed,
+        device=request.device,
+        stub=request.stub,
         awaitMasks=await_masks,
         images=load_document(images, ImagesSpec)[0].spec,
-        scenes=tuple(
-            Scene(name=n, externals=take_externals(store, checked, p, mask=mask, prior=prior, corpus=corpus))
-            for p, n in scenes
-        ),
+        scenes=tuple(Scene(name=n, externals=configured.take_externals(store, p)) for p, n in scenes),
     )
-    sys.stdout.write(dump(clusters.prepare(store, checked, where, submission)))
+    sys.stdout.write(dump(clusters.prepare(store, configured.whole, where, submission)))
 
 
 @emit_app.command(name="check")

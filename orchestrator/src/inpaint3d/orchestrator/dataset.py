@@ -44,7 +44,7 @@ class SceneScore:
     protocol: str | None = None
 
 
-def scenes_in(dataset: Dataset, folder: Path, chosen: list[str] | None) -> list[Path]:
+def find_scenes(dataset: Dataset, folder: Path, chosen: list[str] | None) -> list[Path]:
     """The scenes below a folder in the order of their names, or those chosen of them.
 
     Raises BadInputError where there is none, ConfigurationError for a chosen one that is not there.
@@ -61,7 +61,7 @@ def scenes_in(dataset: Dataset, folder: Path, chosen: list[str] | None) -> list[
     return [p for p in found if chosen is None or p.name in chosen]
 
 
-def figures_of(name: str, report: dict[str, Any]) -> SceneScore:
+def read_figures(name: str, report: dict[str, Any]) -> SceneScore:
     """The result's figures in a run's metrics.json: the method that stands first."""
     for protocol in report["protocols"]:
         if protocol["name"] == PROTOCOL and protocol["metrics"]:
@@ -72,7 +72,7 @@ def figures_of(name: str, report: dict[str, Any]) -> SceneScore:
     return SceneScore(name, protocol="no truth: its views could not be scored")
 
 
-def table_of(dataset: Dataset, scores: list[SceneScore]) -> dict[str, Any]:
+def tabulate(dataset: Dataset, scores: list[SceneScore]) -> dict[str, Any]:
     """Scenes, the mean over those that were scored, and the published rows."""
     scored = [s.figures for s in scores if s.figures]
     means = {

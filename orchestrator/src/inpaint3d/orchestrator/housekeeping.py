@@ -68,7 +68,7 @@ def _size(path: Path) -> int:
     return sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
 
 
-def lineage(store: Store, record: RunRecord, stage: str) -> list[str]:
+def trace_lineage(store: Store, record: RunRecord, stage: str) -> list[str]:
     """An indented tree: the stage, its parameters, and below it the stages whose results it read."""
     by_output: dict[Digest, Record] = {d: r for r in store.records() for d in r.outputs.values()}
     found = [n for n in record.nodes if n.node == stage]

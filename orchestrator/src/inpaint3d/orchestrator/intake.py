@@ -1,17 +1,22 @@
 """What comes from outside is taken into the store as artifacts, so that everything downstream has a digest."""
 
+import difflib
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.models.artifacts import DiffusersPipeline, MaskRequestArtifact, Source
-from inpaint3d.contracts.models.artifacts.masks import MaskRequest
+from inpaint3d.contracts.models.artifacts import Capture, DiffusersPipeline, MaskRequestArtifact, Source
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest, ObjectRequest, ScribbleRequest
 from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.manifest import Manifest, describe_file, schema_id
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import Store, load_manifest
-from inpaint3d.orchestrator.foreign import kind_of, pipeline_files, pipeline_folder
+from inpaint3d.orchestrator.diffusers_pipeline import find_pipeline_folder, list_pipeline_files, read_kind
+
+MASK_REQUEST, PRIOR, CORPUS, DIFFUSERS = "mask-request", "pretrained-prior", "image-corpus", "diffusers-pipeline"
+MANY_VIEWS = 5
 
 
 def take_capture(store: Store, path: Path) -> Digest:
@@ -31,8 +36,8 @@ def take_capture(store: Store, path: Path) -> Digest:
 
 def take_pipeline(store: Store, folder: Path) -> Digest:
     """A diffusers pipeline: what of its folder is needed to ask it."""
-    metadata = DiffusersPipeline(kind=kind_of(folder))
-    return _take_files(store, "diffusers-pipeline", metadata, folder, pipeline_files(folder), "pipeline")
+    metadata = DiffusersPipeline(kind=read_kind(folder))
+    return _take_files(store, "diffusers-pipeline", metadata, folder, list_pipeline_files(folder), "pipeline")
 
 
 def _take_files(store: Store, name: str, metadata: Closed, root: Path, paths: list[Path], below: str) -> Digest:
@@ -65,31 +70,54 @@ def take_artifact(store: Store, path: Path, schema: str) -> Digest:
     return manifest.digest
 
 
-def take_externals(
-    store: Store, pipeline: Pipeline, capture: Path, *, mask: Path | None, prior: Path | None, corpus: Path | None
-) -> dict[str, Digest]:
-    """Everything that a scene brings from outside; for what is not given, the pipeline's default if it has one.
+def locate_externals(*, mask: Path | None, prior: Path | None, corpus: Path | None) -> dict[str, Path]:
+    """External -> what a command line gives for it.
 
-    prior: a diffusion-prior artifact, or a diffusers pipeline (`foreign.pipeline_folder`), which is asked beside it.
+    prior: a diffusion-prior artifact, or a diffusers pipeline (`diffusers_pipeline.find_pipeline_folder`).
     """
-    externals: dict[str, Digest] = {"capture": take_capture(store, capture)}
-    if mask is not None:
-        externals["mask-request"] = take_mask_request(store, mask)
-    if prior is not None and (foreign := pipeline_folder(prior)) is not None:
-        if "diffusers-pipeline" not in pipeline.spec.spec.externals:
-            raise ConfigurationError(f"{pipeline.path} has no external diffusers-pipeline, which {prior} would be")
-        externals["diffusers-pipeline"], prior = take_pipeline(store, foreign), None
-    for external, given in (("pretrained-prior", prior), ("image-corpus", corpus)):
-        declared = pipeline.spec.spec.externals.get(external)
-        if declared is None:
-            continue
+    paths = {MASK_REQUEST: mask, PRIOR: prior, CORPUS: corpus}
+    if prior is not None and (folder := find_pipeline_folder(prior)) is not None:
+        paths |= {PRIOR: None, DIFFUSERS: folder}
+    return {external: path for external, path in paths.items() if path is not None}
+
+
+def list_externals(pipeline: Pipeline, paths: Mapping[str, Path]) -> set[str]:
+    """The externals that a run has: the capture, what is given, and the pipeline's defaults."""
+    declared = pipeline.spec.spec.externals
+    return {"capture", *paths, *(name for name, external in declared.items() if external.default is not None)}
+
+
+def take_externals(store: Store, pipeline: Pipeline, capture: Path, paths: Mapping[str, Path]) -> dict[str, Digest]:
+    """What a scene's nodes read from outside, by `locate_externals`; for what is not given, the pipeline's default."""
+    externals: dict[str, Digest] = {}
+    read = {ref for node in pipeline.order for refs in pipeline.references(node).values() for ref in refs}
+    for name, declared in pipeline.spec.spec.externals.items():
         default = pipeline.path.parent / declared.default if declared.default else None
-        if (folder := given or default) is not None:
-            externals[external] = take_artifact(store, folder, declared.schema_range)
-    return externals
+        if f"external.{name}" in read and name != "capture" and (path := paths.get(name, default)) is not None:
+            externals[name] = _take(store, name, path, declared.schema_range)
+    return externals | {"capture": take_capture(store, capture)}  # last: it may take long
 
 
-def run_name(capture: Path, given: str | None) -> str:
+def _take(store: Store, external: str, path: Path, schema: str) -> Digest:
+    if external == MASK_REQUEST:
+        return take_mask_request(store, path)
+    return take_pipeline(store, path) if external == DIFFUSERS else take_artifact(store, path, schema)
+
+
+def find_unknown_view(store: Store, request: Digest, capture: Digest, file: Path | None) -> str | None:
+    """What is wrong with the view that a mask request points at: it is none of the capture's; None where nothing is."""
+    asked = MaskRequestArtifact.model_validate(store.manifest(request).metadata).request.mask
+    if not isinstance(asked, ObjectRequest | ScribbleRequest):
+        return None
+    names = [frame.name for frame in Capture.model_validate(store.manifest(capture).metadata).frames]
+    if asked.view in names:
+        return None
+    near = difflib.get_close_matches(asked.view, names, n=MANY_VIEWS) or names[:MANY_VIEWS]
+    more = f" and {len(names) - len(near)} more" if len(names) > len(near) else ""
+    return f"{file or 'the mask request'}: mask.view: no view {asked.view}; there are {', '.join(near)}{more}"
+
+
+def name_run(capture: Path, given: str | None) -> str:
     """The name given, else the capture's folder name. It is a folder's name, so that it cannot lead elsewhere."""
     whole = capture.resolve()
     name = given if given is not None else whole.name if whole.is_dir() else whole.stem
@@ -98,7 +126,7 @@ def run_name(capture: Path, given: str | None) -> str:
     return name
 
 
-def scenes_of(capture: Path, scenes: list[str] | None, name: str | None) -> list[tuple[Path, str | None]]:
+def list_scenes(capture: Path, scenes: list[str] | None, name: str | None) -> list[tuple[Path, str | None]]:
     """The captures to run, with their names: the one given, or one for each `--scene` below it."""
     if not scenes:
         return [(capture, name)]

@@ -1,7 +1,11 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, one by one and in the groups that belong together."""
 
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_origin, get_type_hints
 
 import typer
 
@@ -23,6 +27,7 @@ Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of C
 Only = Annotated[str | None, typer.Option(help="run this stage alone")]
 From = Annotated[str | None, typer.Option("--from", help="run this stage and what depends on it")]
 Until = Annotated[str | None, typer.Option(help="run up to this stage")]
+Compare = Annotated[bool, typer.Option("--compare", help="also run the controls that the result is compared with")]
 Force = Annotated[bool, typer.Option("--force", help="compute again what is selected, even if up to date")]
 PipelinePath = Annotated[Path | None, typer.Option("--pipeline", help="default: the nearest pipeline.yaml")]
 LogFormat = Annotated[
@@ -57,3 +62,83 @@ AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 STORE = ".inpaint3d/store"
 RUNS = Path("runs")
 IMAGES = Path(".cache/images.yaml")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of the pipeline, alike for every scene."""
+
+    preset: Preset = None
+    assignments: Set = None
+    prior: Prior = None
+    corpus: Corpus = None
+    seed: Seed = 0
+    device: Device = "cpu"
+    stub: Stub = False
+    pipeline: PipelinePath = None
+    # No options of every command: those of `SceneRequest` have them.
+    mask: Path | None = None
+    compare: bool = False
+
+
+@dataclass(frozen=True)
+class SceneRequest(Request):
+    """What may be asked where the scenes are somebody's own."""
+
+    mask: Mask = None
+    compare: Compare = False
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where artifacts are kept, and where results are left."""
+
+    store: StorePath = STORE
+    runs_dir: RunsPath = RUNS
+
+
+@dataclass(frozen=True)
+class Environment:
+    """What stages run in."""
+
+    runner: RunnerName = "process"
+    images: Images = IMAGES
+
+
+def with_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command as typer reads it: a parameter whose type is a dataclass becomes an option for each of its fields.
+
+    Options are the fields whose types are annotated ones.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, dict[str, inspect.Parameter]] = {}
+    flat: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if is_dataclass(hints[name]):
+            groups[name] = _options(hints[name])
+            flat += groups[name].values()
+        else:
+            flat.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name]))
+
+    @functools.wraps(command)
+    def expanded(**given: Any) -> Any:
+        made = {name: hints[name](**{o: given.pop(o) for o in options}) for name, options in groups.items()}
+        return command(**given, **made)
+
+    expanded.__dict__["__signature__"] = inspect.Signature(flat)
+    expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in flat}
+    return expanded
+
+
+def _options(group: Any) -> dict[str, inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return {
+        field.name: inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(group)
+        if get_origin(hints[field.name]) is Annotated
+    }

@@ -1,74 +1,165 @@
-"""Parameters by the published schema of each stage: defaults filled in, values checked before anything starts."""
+"""Parameters by each stage's published schema: defaults filled in, values checked before anything starts."""
 
-import functools
-import json
-from pathlib import Path
+import difflib
+import importlib
+from collections.abc import Iterator
 from typing import Any, cast
 
 import yaml
 from jsonschema import Draft202012Validator, exceptions
+from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import VARIANT, Parameters, Pipeline, merge_parameters
+from inpaint3d.contracts.models.stage import StageSpec
+from inpaint3d.orchestrator.parameter_schema import Place, parameter_schema
 
 SEED = "seed"
+Overrides = dict[str, Parameters]
+"""Node -> parameter -> value; `seed`, which is no parameter of any stage, is the node's seed."""
 
 
-@functools.cache
-def _schema(path: Path) -> dict[str, Any]:
-    try:
-        return cast(dict[str, Any], json.loads(path.read_text()))
-    except FileNotFoundError as error:
-        raise ConfigurationError(f"{path} is not there; run `make schemas`") from error
+def combine_parameters(pipeline: Pipeline, node: str, preset: str | None, overrides: Overrides) -> Parameters:
+    """A node's parameters: the stage's defaults, pipeline.yaml's over them, the preset's, the command line's."""
+    chosen = {name: value for name, value in overrides.get(node, {}).items() if name != SEED}
+    written = pipeline.parameters(node, preset, parameter_schema(pipeline, node).defaults)
+    return resolve_parameters(pipeline, node, merge_parameters(written, chosen))
 
 
-def parameter_schema(pipeline: Pipeline, node: str) -> dict[str, Any]:
-    """The JSON Schema of a node's parameters."""
-    name = pipeline.stages[node].metadata.name
-    return _schema(pipeline.path.parent / "schemas" / "parameters" / f"{name}.json")
-
-
-def resolved(pipeline: Pipeline, node: str, chosen: dict[str, Any]) -> dict[str, Any]:
-    """The chosen parameters over the schema's defaults.
+def resolve_parameters(pipeline: Pipeline, node: str, chosen: Parameters) -> Parameters:
+    """The chosen parameters with every default filled in, however deep.
 
     Raises ConfigurationError naming the parameter, its value and what is allowed.
     """
     schema = parameter_schema(pipeline, node)
-    known: dict[str, Any] = schema.get("properties", {})
-    for name in chosen:
-        if name not in known:
-            raise ConfigurationError(f"{node} has no parameter {name}; it has {', '.join(sorted(known)) or 'none'}")
-    # The schemas are generated, and a test holds them against the metaschema: that is not done again at every run.
-    validator, best_match = cast(Any, Draft202012Validator(schema)), cast(Any, exceptions).best_match
-    if (error := best_match(validator.iter_errors(chosen))) is not None:
-        at = ".".join(str(p) for p in error.absolute_path) or "(parameters)"
-        raise ConfigurationError(f"{node}.{at}: {error.message}")
-    defaults = {name: entry["default"] for name, entry in known.items() if "default" in entry}
-    return {**defaults, **chosen}
+    whole = _fill(schema, chosen)
+    for problem in _find_problems(schema, schema, whole, node, node):
+        raise ConfigurationError(problem)
+    _check_with_stage(pipeline.stages[node], node, whole)
+    return whole
 
 
-def parse_overrides(pipeline: Pipeline, assignments: list[str]) -> dict[str, dict[str, Any]]:
+def _fill(place: Place, value: Any) -> Any:
+    """A value with the defaults of its groups; a group's bare kind spelled out; whole numbers as the schema has them.
+
+    One value has one spelling, so that it has one key.
+    """
+    if place.kinds and isinstance(value, str):
+        value = {VARIANT: value}
+    if isinstance(value, dict) and place.is_group:
+        given = cast(Parameters, value)
+        if (group := place.group_of(given)) is None:
+            return given
+        merged = cast(Parameters, merge_parameters(group.defaults | _take_kind(given), given))
+        return {n: _fill(group.properties[n], v) if n in group.properties else v for n, v in merged.items()}
+    if isinstance(value, list) and (items := place.items) is not None:
+        return [_fill(items, item) for item in cast(list[Any], value)]
+    return _fill_number(place, value)
+
+
+def _fill_number(place: Place, value: Any) -> Any:
+    return float(value) if type(value) is int and place.schema.get("type") == "number" else value
+
+
+def _take_kind(given: Parameters) -> Parameters:
+    return {VARIANT: given[VARIANT]} if VARIANT in given else {}
+
+
+def _find_problems(whole: Place, place: Place, value: Any, at: str, node: str) -> Iterator[str]:
+    """What is wrong with a value, each with its place; a group of several kinds is held against its own kind alone."""
+    if not place.is_group or (value is None and place.nullable):
+        # The schemas are generated, and a test holds them against the metaschema: that is not done again at every run.
+        validator = cast(Any, Draft202012Validator({**place.written, "$defs": place.root.get("$defs", {})}))
+        if (error := cast(Any, exceptions).best_match(validator.iter_errors(value))) is not None:
+            yield ".".join([at, *map(str, error.absolute_path)]) + f": {error.message}"
+        return
+    if not isinstance(value, dict):
+        yield f"{at}: {value!r} is no group of parameters; set one of them, {at}.NAME=VALUE"
+        return
+    given = cast(Parameters, value)
+    group = place.group_of(given)
+    if group is None:
+        yield f"{at}: no {_take_last(at)} {given.get(VARIANT)!r}; there are {', '.join(place.kinds)}"
+        return
+    for name in given:
+        if name not in group.properties:
+            yield _explain_unknown(whole, place, group, given, at, name, node)
+    yield from (f"{at}.{name} has no default; give it a value" for name in group.required if name not in given)
+    for name, inner in group.properties.items():
+        if name in given:
+            yield from _find_problems(whole, inner, given[name], f"{at}.{name}", node)
+
+
+def _explain_unknown(whole: Place, place: Place, group: Place, given: Parameters, at: str, name: str, node: str) -> str:
+    """That there is no such parameter here, and where there is one."""
+    what = f"{at} has no parameter {name}"
+    if place.kinds:
+        what = f"{at}.{name}: {_take_last(at)} {given[VARIANT]} has no parameter {name}"
+        if takers := [kind for kind, other in place.kinds.items() if name in other.properties]:
+            return f"{what}; {_say_takers(takers)}: set {at}={takers[0]}"
+    elsewhere: dict[str, list[str]] = {}
+    for path, kind in whole.find(name, node):
+        elsewhere.setdefault(path, []).extend([kind] if kind else [])
+    if elsewhere:
+        hints = [f"{path} ({_say_takers(kinds)})" if kinds else path for path, kinds in elsewhere.items()]
+        return f"{what}; it is {', or '.join(hints)}"
+    if near := difflib.get_close_matches(name, group.properties):
+        return f"{what}; did you mean {' or '.join(near)}?"
+    return f"{what}; it has {', '.join(sorted(group.properties)) or 'none'}"
+
+
+def _say_takers(kinds: list[str]) -> str:
+    return f"{', '.join(kinds)} {'takes' if len(kinds) == 1 else 'take'} it"
+
+
+def _take_last(at: str) -> str:
+    return at.rpartition(".")[2]
+
+
+def _check_with_stage(stage: StageSpec, node: str, parameters: Parameters) -> None:
+    """Hold parameters against the stage's own `Config`, whose rules join parameters; not where it isn't installed."""
+    name = f"{stage.spec.module}.config"
+    try:
+        config = importlib.import_module(name).Config
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+            raise
+        return
+    try:
+        config.model_validate(parameters)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        at = ".".join([node, *map(str, first["loc"])])
+        raise ConfigurationError(f"{at}: {first['msg'].removeprefix('Value error, ')}") from error
+
+
+def parse_overrides(pipeline: Pipeline, assignments: list[str]) -> Overrides:
     """`STAGE.PARAM=VALUE` lines (the value is YAML) -> node -> parameter -> value. `STAGE.a.b=V` reaches inside.
 
-    `STAGE.seed` is the node's seed: every stage has one.
+    `STAGE.seed` is the node's seed: every stage has one. Which line comes first makes no difference between a group
+    and what is inside it.
     """
-    overrides: dict[str, dict[str, Any]] = {}
-    for line in assignments:
-        target, equals, text = line.partition("=")
-        node, dot, path = target.partition(".")
-        if not equals or not dot or not path:
-            raise ConfigurationError(f"--set {line}: write STAGE.PARAM=VALUE, e.g. joint-optimization.guidance=2")
-        if node not in pipeline.nodes:
-            raise ConfigurationError(f"--set {line}: no stage {node}; there are {', '.join(pipeline.order)}")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ConfigurationError(f"--set {line}: {text!r} is not a YAML value") from error
-        if path == SEED and (type(value) is not int or value < 0):
-            raise ConfigurationError(f"--set {line}: a seed is a whole number, 0 or more")
-        place = overrides.setdefault(node, {})
-        *outer, last = path.split(".")
-        for name in outer:
-            place = cast(dict[str, Any], place.setdefault(name, {}))
-        place[last] = value
+    overrides: Overrides = {}
+    for line in sorted(assignments, key=lambda line: line.partition("=")[0].count(".")):
+        node, path, value = _parse_assignment(pipeline, line)
+        for name in reversed(path):
+            value = {name: value}
+        overrides[node] = merge_parameters(overrides.get(node, {}), value)
     return overrides
+
+
+def _parse_assignment(pipeline: Pipeline, line: str) -> tuple[str, list[str], Any]:
+    """(node, path, value) of a `--set`. Raises ConfigurationError naming it."""
+    target, equals, text = line.partition("=")
+    node, *path = target.split(".")
+    if not equals or not path or not all(path):
+        raise ConfigurationError(f"--set {line}: write STAGE.PARAM=VALUE, e.g. masked-reconstruction.steps=800")
+    if node not in pipeline.nodes:
+        raise ConfigurationError(f"--set {line}: no stage {node}; there are {', '.join(pipeline.order)}")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"--set {line}: {text!r} is not a YAML value") from error
+    if path == [SEED] and (type(value) is not int or value < 0):
+        raise ConfigurationError(f"--set {line}: a seed is a whole number, 0 or more")
+    return node, path, value

@@ -14,26 +14,30 @@ from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import Change, NodeRun
 from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Record, Store
+from inpaint3d.orchestrator.configure import ConfiguredPipeline
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.parameters import SEED, resolved
-
-Overrides = dict[str, dict[str, Any]]
-"""Node -> parameter -> value; `seed`, which is no parameter of any stage, is the node's seed."""
+from inpaint3d.orchestrator.intake import MASK_REQUEST, find_unknown_view
+from inpaint3d.orchestrator.options import Force, From, Only, Until
 
 
 @dataclass(frozen=True)
 class Selection:
     """Which nodes a run is about. Others are used as the store has them."""
 
-    only: str | None = None
-    start: str | None = None
-    until: str | None = None
-    force: bool = False
+    only: Only = None
+    start: From = None
+    until: Until = None
+    force: Force = False
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The nodes that are asked for by name."""
+        return tuple(name for name in (self.only, self.start, self.until) if name is not None)
 
     def nodes(self, pipeline: Pipeline) -> list[str]:
         """The selected nodes in order; ConfigurationError for a name that is not in the pipeline."""
-        for name in (self.only, self.start, self.until):
-            if name is not None and name not in pipeline.nodes:
+        for name in self.named:
+            if name not in pipeline.nodes:
                 raise ConfigurationError(f"no stage {name} in {pipeline.path}; there are {', '.join(pipeline.order)}")
         if self.only is not None:
             if self.start is not None or self.until is not None:
@@ -66,19 +70,23 @@ class Task:
 class Planner:
     """Turns nodes into tasks as their inputs become known."""
 
-    pipeline: Pipeline
+    configured: ConfiguredPipeline
     store: Store
     history: History
     name: str
-    preset: str | None
     externals: dict[str, Digest]
-    overrides: Overrides
-    seed: int = 0
+    mask: Path | None = None
+    """The file that the mask request was read from."""
     device: str = "cpu"
     stub: bool = False
     images: Mapping[str, Image] | None = None
     """What the stages run in, where that is not this machine's own environment: their digests stand for the code."""
     outputs: dict[str, dict[str, Digest]] = field(default_factory=dict[str, dict[str, Digest]])
+
+    @property
+    def pipeline(self) -> Pipeline:
+        """The nodes that run."""
+        return self.configured.pipeline
 
     def known(self, node: str) -> bool:
         """Whether everything upstream of the node has a result."""
@@ -91,9 +99,9 @@ class Planner:
         components = key_components(
             spec,
             code=self._code(spec),
-            parameters=self.parameters(node),
+            parameters=self.configured.parameters[node],
             inputs=inputs,
-            seed=node_seed(self.pipeline, node, self.seed, self.overrides),
+            seed=self.configured.seeds[node],
             device=self.device if spec.spec.gpu != "none" else "cpu",
             stub=self.stub,
         )
@@ -105,8 +113,15 @@ class Planner:
         reason, changes = explain(components, key, before, record, force=force)
         return Task(node, key, components, inputs, record, reason, changes)
 
-    def parameters(self, node: str) -> dict[str, Any]:
-        return node_parameters(self.pipeline, node, self.preset, self.overrides)
+    def request_problem(self, node: str) -> str | None:
+        """What a node's result shows to be wrong with the mask request, before the stage that reads it has its turn."""
+        request = self.externals.get(MASK_REQUEST)
+        if request is None or self.stub:  # a stub's frames are made up
+            return None
+        for port, output in self.pipeline.stages[node].spec.outputs.items():
+            if output.schema_id.startswith("capture@") and port in self.outputs[node]:
+                return find_unknown_view(self.store, request, self.outputs[node][port], self.mask)
+        return None
 
     def _code(self, spec: StageSpec) -> Digest:
         if self.images is None:
@@ -131,22 +146,11 @@ class Planner:
         return self.externals.get(name) if source == "external" else self.outputs[source].get(name)
 
 
-def node_parameters(pipeline: Pipeline, node: str, preset: str | None, overrides: Overrides) -> dict[str, Any]:
-    """A node's parameters: the stage's defaults, pipeline.yaml's over them, the preset's, the command line's."""
-    chosen = {name: value for name, value in overrides.get(node, {}).items() if name != SEED}
-    return resolved(pipeline, node, {**pipeline.parameters(node, preset), **chosen})
-
-
-def node_seed(pipeline: Pipeline, node: str, seed: int, overrides: Overrides) -> int:
-    """A node's seed: the command line's for it, or the run's and what pipeline.yaml adds."""
-    return overrides.get(node, {}).get(SEED, seed + pipeline.nodes[node].seed)
-
-
 def explain(
     components: dict[str, Any], key: Digest, before: NodeRun | None, record: Record | None, *, force: bool
 ) -> tuple[str, tuple[Change, ...]]:
     """Why a node runs or not, in words, and which components of its key differ from the last run's."""
-    changes = () if before is None or before.key == key else differences(before.components, components)
+    changes = () if before is None or before.key == key else find_differences(before.components, components)
     if record is not None:
         return ("up to date" if not changes else "computed before with exactly this key"), changes
     if force:
@@ -158,20 +162,23 @@ def explain(
     return "its result is gone from the store, or was damaged", ()
 
 
-def differences(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> tuple[Change, ...]:
+def find_differences(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> tuple[Change, ...]:
     """The leaves in which two keys' components differ."""
     found: list[Change] = []
     for name in sorted({*old, *new}):
         was, now = old.get(name), new.get(name)
         if isinstance(was, dict) and isinstance(now, dict):
-            found += differences(cast(dict[str, Any], was), cast(dict[str, Any], now), f"{prefix}{name}.")
+            found += find_differences(cast(dict[str, Any], was), cast(dict[str, Any], now), f"{prefix}{name}.")
         elif json.dumps(was, sort_keys=True) != json.dumps(now, sort_keys=True):
             found.append(Change(component=prefix + name, old=was, new=now))
     return tuple(found)
 
 
 def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
-    """The dry run: what each node would do. Nodes behind one that runs are 'pending': its bytes are not known yet."""
+    """The dry run: what each node would do. Nodes behind one that runs are 'pending': its bytes are not known yet.
+
+    Raises ConfigurationError where what is known already shows the mask request to be wrong.
+    """
     chosen = set(selection.nodes(planner.pipeline))
     rows: list[NodeRun] = []
     for node in planner.pipeline.order:
@@ -183,12 +190,14 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
         task = planner.task(node)
         if task.record is not None and not (selection.force and node in chosen):
             planner.outputs[node] = task.record.outputs
-            rows.append(with_result(_row(task, "cached", task.reason), task.record))
+            if (problem := planner.request_problem(node)) is not None:
+                raise ConfigurationError(problem)
+            rows.append(add_result(_row(task, "cached", task.reason), task.record))
         elif node in chosen:
             rows.append(_row(task, "pending", "forced" if selection.force else task.reason))
         else:
             rows.append(_row(task, "skipped", "not selected, and the store has no result"))
-    return rows
+    return [*rows, *planner.configured.left_out_rows()]
 
 
 def _row(task: Task, status: Any, reason: str) -> NodeRun:
@@ -197,7 +206,7 @@ def _row(task: Task, status: Any, reason: str) -> NodeRun:
     )
 
 
-def with_result(run: NodeRun, record: Record) -> NodeRun:
+def add_result(run: NodeRun, record: Record) -> NodeRun:
     """A node's run with what its result's record says: outputs, and the cost of computing them."""
     timings = record.timings
     return run.model_copy(

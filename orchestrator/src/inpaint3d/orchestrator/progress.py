@@ -101,7 +101,7 @@ class LiveTable:
         return table
 
 
-def display_for(log_format: str, nodes: list[str]) -> Display:
+def choose_display(log_format: str, nodes: list[str]) -> Display:
     """`auto`: a table on a terminal, JSON lines elsewhere; `json` and `table` say which."""
     as_table = log_format == "table" or (log_format == "auto" and sys.stdout.isatty())
     return LiveTable(nodes) if as_table else JsonLines()

@@ -9,7 +9,7 @@ from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import Evaluation, UsdScene
 from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Store
-from inpaint3d.orchestrator.times import times_page
+from inpaint3d.orchestrator.times import render_times
 
 MARK = "<!-- inpaint3d:run -->"
 
@@ -26,20 +26,21 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         html = artifact.path(artifact.metadata.report).read_text()
         if MARK not in html:
             raise ArtifactError(f"{artifact.metadata.report} of {digest} lacks the line {MARK}; re-run evaluation")
-        _write(folder / "report.html", html.replace(MARK, times_page(store, record)).encode())
+        _write(folder / "report.html", html.replace(MARK, render_times(store, record)).encode())
     if digest := outputs.get("usd-export", {}).get("usd-scene"):
         scene = store.open(digest, UsdScene)
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
-    report = run_report(record, protocols)
+    report = make_report(record, protocols)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
     return report
 
 
-def run_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
+def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
     stages = tuple(
         StageFigures(
             node=n.node,
             status=n.status,
+            reason=n.reason,
             cached=n.cached,
             wall_s=n.wall_s,
             cpu_s=n.cpu_s,

@@ -12,12 +12,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from inpaint3d.contracts.errors import EXIT_CODES, Inpaint3dError, InterruptedRun, RetryableError, WaitingError
+from inpaint3d.contracts.errors import (
+    EXIT_CODES,
+    ConfigurationError,
+    Inpaint3dError,
+    InterruptedRun,
+    RetryableError,
+    WaitingError,
+)
 from inpaint3d.contracts.kit.shim import Invocation
 from inpaint3d.contracts.models.report import NodeRun, RunRecord, Status
 from inpaint3d.contracts.store import Record
 from inpaint3d.orchestrator.history import this_machine
-from inpaint3d.orchestrator.plan import Planner, Selection, Task, with_result
+from inpaint3d.orchestrator.intake import MASK_REQUEST
+from inpaint3d.orchestrator.plan import Planner, Selection, Task, add_result
 from inpaint3d.orchestrator.progress import Display
 from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, start
 
@@ -50,7 +58,7 @@ class Scheduler:
             id=f"{now:%Y%m%dT%H%M%S%f}-{secrets.token_hex(2)}",
             name=self.planner.name,
             pipeline=str(self.planner.pipeline.path),
-            preset=self.planner.preset,
+            preset=self.planner.configured.preset,
             externals=self.planner.externals,
             status="running",
             started=now.isoformat(),
@@ -60,6 +68,8 @@ class Scheduler:
     def run(self) -> RunRecord:
         """Run what is selected; returns the record. Stops early where a stage fails, waits, or the run is told to."""
         (self.folder / "logs").mkdir(parents=True, exist_ok=True)
+        for row in self.planner.configured.left_out_rows():
+            self.display.node(row.node, row.status, row.reason)
         with self._signals():
             while True:
                 progressed = self._settle()
@@ -169,10 +179,23 @@ class Scheduler:
 
     def _accept(self, task: Task, status: Status, record: Record) -> None:
         self.planner.outputs[task.node] = record.outputs
-        run = with_result(self._node_run(task, status), record)
+        run = add_result(self._node_run(task, status), record)
         self._results[task.node] = run
         self.display.node(task.node, status, task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
+        if (problem := self.planner.request_problem(task.node)) is not None:
+            self._refuse_request(problem)
         self._save("running")
+
+    def _refuse_request(self, problem: str) -> None:
+        """End the run before the stages that read the mask request have their turn, as they would end it."""
+        pipeline = self.planner.pipeline
+        for node in self._chosen:
+            if any(f"external.{MASK_REQUEST}" in refs for refs in pipeline.references(node).values()):
+                self._results[node] = NodeRun(
+                    node=node, status="failed", reason="its mask request is wrong", error=problem,
+                    exit_code=ConfigurationError.exit_code,
+                )  # fmt: skip
+                self.display.node(node, "failed", error=problem)
 
     def _close(self, task: Task, status: Status, reason: str | None = None, **values: Any) -> None:
         run = self._node_run(task, status).model_copy(update={"reason": reason or task.reason, **values})
@@ -211,7 +234,8 @@ class Scheduler:
 
     def _save(self, status: RunStatus, *, finished: bool = False) -> None:
         ordered = [self._results[n] for n in self.planner.pipeline.order if n in self._results]
-        update: dict[str, Any] = {"status": status, "nodes": tuple(ordered)}
+        nodes = (*ordered, *self.planner.configured.left_out_rows())
+        update: dict[str, Any] = {"status": status, "nodes": nodes}
         if finished:
             update["finished"] = datetime.datetime.now(datetime.UTC).isoformat()
             update["wall_s"] = round(time.monotonic() - self._began, 3)

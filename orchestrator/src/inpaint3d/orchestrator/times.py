@@ -11,7 +11,7 @@ WIDTH, HEIGHT, MARGIN = 460, 200, 44
 Row = dict[str, Any]
 
 
-def times_page(store: Store, record: RunRecord) -> str:
+def render_times(store: Store, record: RunRecord) -> str:
     """HTML: machine, stages with times and reasons, and for each learning curve accuracy against seconds."""
     machine = record.machine
     where = f"{machine.processor}, {machine.cores} cores, {machine.memory_bytes / 2**30:.0f} GiB"

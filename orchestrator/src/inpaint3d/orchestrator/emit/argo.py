@@ -2,7 +2,7 @@
 
 Mechanical: a template for each node, a task for each node, a parameter for each port. Only digests pass between pods;
 the bulk goes through the store, and what a key already has is found there by the shim, so that nothing is memoised
-here. The documents read as the YAML does; hera's typed models check them (`checked`), `emit.check` what types cannot.
+here. The documents read as the YAML does; hera's typed models check them (`check_types`), `emit.check` the rest.
 """
 
 import json
@@ -14,12 +14,12 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.cluster import ClusterSpec, Scene, Submission
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.stage import StageSpec
-from inpaint3d.orchestrator.plan import node_parameters, node_seed
+from inpaint3d.orchestrator.configure import ConfiguredPipeline, configure_submission
 
 Document = dict[str, Any]
 API_VERSION = "argoproj.io/v1alpha1"
 LABEL = "inpaint3d"
-PRESET = f"{LABEL}/preset"
+PRESET, LEFT_OUT = f"{LABEL}/preset", f"{LABEL}/left-out"
 INVOCATION, OUTPUTS = "/inpaint3d/invocation.json", "/tmp/outputs"  # noqa: S108 - a path in a pod
 RECORDER = "inpaint3d/orchestrator"
 AWAIT_MASK = "await-mask"
@@ -36,19 +36,20 @@ def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, su
 
     Raises ConfigurationError.
     """
-    pipeline = pipeline.under(submission.preset)
+    configured = configure_submission(pipeline, submission)
+    pipeline = configured.pipeline
     wanted = {RECORDER, *(spec.spec.image for spec in pipeline.stages.values())}
     if missing := sorted(wanted - set(submission.images)):
         raise ConfigurationError(f"images.yaml has no {', '.join(missing)}; run `make images`")
-    template = _template(pipeline, cluster, submission)
+    template = _template(configured, cluster, submission)
     size = cluster.spec.scenesPerWorkflow
     batches = [submission.scenes[i : i + size] for i in range(0, len(submission.scenes), size)]
     names = [f"{submission.name}{suffix}-{i:04d}" for i in range(len(batches))]
     workflows = [_workflow(pipeline, cluster, submission, n, b) for n, b in zip(names, batches, strict=True)]
-    return [checked(document) for document in (template, *workflows)]
+    return [check_types(document) for document in (template, *workflows)]
 
 
-def checked(document: Document) -> Document:
+def check_types(document: Document) -> Document:
     """The document as hera's model of its kind has it. ConfigurationError where a field is not Argo's."""
     from hera.workflows import models
     from pydantic import ValidationError
@@ -97,9 +98,9 @@ class _Dumper(yaml.SafeDumper):
 _Dumper.add_representer(str, _Dumper.represent_text)
 
 
-def _template(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission) -> Document:
-    body = cluster.spec
-    nodes = [_stage(pipeline, cluster, submission, node) for node in pipeline.order]
+def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission) -> Document:
+    body, pipeline = cluster.spec, configured.pipeline
+    nodes = [_stage(configured, cluster, submission, node) for node in pipeline.order]
     waiting = [_await_mask()] if submission.awaitMasks else []
     spec: Document = {
         "entrypoint": "scenes",
@@ -120,7 +121,7 @@ def _template(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission) 
         "metadata": {
             "name": submission.name,
             "namespace": body.namespace,
-            "annotations": {PRESET: submission.preset or ""},
+            "annotations": {PRESET: submission.preset or "", LEFT_OUT: json.dumps(configured.left_out)},
         },
         "spec": spec,
     }
@@ -197,8 +198,9 @@ def _wants_mask(pipeline: Pipeline, node: str) -> bool:
     return "external.mask-request" in _ports(pipeline, node).values()
 
 
-def _stage(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, node: str) -> Document:
+def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission, node: str) -> Document:
     """The template of a node: the stage's image on the digests at its ports."""
+    pipeline = configured.pipeline
     stage = pipeline.stages[node]
     ports = _ports(pipeline, node)
     on_gpu = submission.device == "cuda" and stage.spec.gpu != "none"
@@ -210,7 +212,7 @@ def _stage(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, nod
         args=["run", "--store", cluster.spec.store, "--invocation", INVOCATION, "--outputs", OUTPUTS],
         resources=_resources(stage, cluster, on_gpu=on_gpu),
     )
-    invocation = _invocation(pipeline, submission, node, device="cuda" if on_gpu else "cpu")
+    invocation = _invocation(configured, submission, node, device="cuda" if on_gpu else "cpu")
     selector = {**cluster.spec.nodeSelector, **(cluster.spec.gpu.nodeSelector if on_gpu else {})}
     template |= {
         "name": node,
@@ -237,8 +239,9 @@ def _stage(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, nod
     return template | ({"nodeSelector": selector} if selector else {})
 
 
-def _invocation(pipeline: Pipeline, submission: Submission, node: str, *, device: str) -> str:
+def _invocation(configured: ConfiguredPipeline, submission: Submission, node: str, *, device: str) -> str:
     """The shim's invocation, with Argo's placeholders where a digest will stand."""
+    pipeline = configured.pipeline
     ports = pipeline.stages[node].spec.inputs
     inputs: dict[str, Any] = {}
     for parameter in _ports(pipeline, node):
@@ -252,9 +255,9 @@ def _invocation(pipeline: Pipeline, submission: Submission, node: str, *, device
     cpu = resources.limits.get("cpu", resources.requests.get("cpu", "1"))
     return json.dumps(
         {
-            "parameters": node_parameters(pipeline, node, submission.preset, submission.overrides),
+            "parameters": configured.parameters[node],
             "inputs": inputs,
-            "seed": node_seed(pipeline, node, submission.seed, submission.overrides),
+            "seed": configured.seeds[node],
             "device": device,
             "threads": max(1, int(float(cpu))),
             "stub": submission.stub,

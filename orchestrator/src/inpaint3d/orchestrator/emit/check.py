@@ -18,8 +18,8 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.kit.shim import Invocation
 from inpaint3d.contracts.models.manifest import first_error, is_compatible
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.orchestrator.emit.argo import LABEL, PRESET, checked
-from inpaint3d.orchestrator.parameters import resolved
+from inpaint3d.orchestrator.emit.argo import LABEL, LEFT_OUT, PRESET, check_types
+from inpaint3d.orchestrator.parameters import resolve_parameters
 
 Document = dict[str, Any]
 PLACEHOLDER = re.compile(r"\{\{\s*([^{}]+?)\s*\}\}")
@@ -38,8 +38,9 @@ def check(documents: list[Document], pipeline: Pipeline) -> list[str]:
     for template in templates.values():
         view = _View(template)
         findings += [f"references: {f}" for f in _references(view)]
-        preset = template["metadata"].get("annotations", {}).get(PRESET)
-        findings += [f"contracts: {f}" for f in _contracts(view, pipeline.under(preset))]
+        annotations = template["metadata"].get("annotations", {})
+        left_out = set(json.loads(annotations.get(LEFT_OUT, "{}")))
+        findings += [f"contracts: {f}" for f in _contracts(view, pipeline.under(annotations.get(PRESET)), left_out)]
         findings += [f"policy: {f}" for f in _policy(view)]
     for workflow in (d for d in documents if d["kind"] == "Workflow"):
         findings += [f"references: {f}" for f in _workflow(workflow, templates)]
@@ -48,7 +49,7 @@ def check(documents: list[Document], pipeline: Pipeline) -> list[str]:
 
 def _type_problem(document: Document) -> str | None:
     try:
-        checked(document)
+        check_types(document)
     except ConfigurationError as error:
         return str(error)
     return None
@@ -156,13 +157,14 @@ def _task(
                     yield f"{at}: nothing is called {name}"
 
 
-def _contracts(view: _View, pipeline: Pipeline) -> Iterator[str]:
+def _contracts(view: _View, pipeline: Pipeline, left_out: set[str]) -> Iterator[str]:
     sides = {n: t.get("metadata", {}).get("annotations", {}) for n, t in view.templates.items()}
     for name, template in view.containers():
         if name in pipeline.nodes:
             yield from _stage_template(name, template, sides[name], pipeline)
     scene = view.templates.get("scene", {}).get("dag", {}).get("tasks", [])
-    yield from (f"scene: no task runs {n}" for n in pipeline.order if n not in {t.get("template") for t in scene})
+    there = {t.get("template") for t in scene} | left_out
+    yield from (f"scene: no task runs {n}" for n in pipeline.order if n not in there)
     for task in scene:
         for argument in task.get("arguments", {}).get("parameters", []):
             for name in _placeholders(argument["value"]):
@@ -188,7 +190,7 @@ def _stage_template(name: str, template: Document, annotations: dict[str, str], 
         return
     try:
         invocation = Invocation.model_validate_json(PLACEHOLDER.sub(ANY_DIGEST, raw[0]))
-        resolved(pipeline, name, invocation.parameters)
+        resolve_parameters(pipeline, name, invocation.parameters)
     except ValidationError as error:
         yield f"{name}: its invocation is not the shim's: {first_error(error)}"
         return

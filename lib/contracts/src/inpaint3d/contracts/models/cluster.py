@@ -93,6 +93,7 @@ class Submission(Closed):
     name: Name
     preset: str | None
     overrides: dict[str, dict[str, Any]] = {}
+    compare: bool = Field(default=False, description="also what the result is compared with")
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"
     stub: bool = False

@@ -4,9 +4,11 @@ No code, no expressions, and no conditions but the presets that a node may be li
 """
 
 import copy
+import functools
 import graphlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import Field, StringConstraints
 
@@ -22,6 +24,25 @@ Reference = Annotated[
     StringConstraints(pattern=r"^[a-z][a-z0-9-]*\.[a-z][a-z0-9-]*$"),
 ]
 Parameters = dict[str, Any]
+VARIANT = "name"
+"""The parameter by which a group says which of several kinds it is."""
+
+
+def merge_parameters(under: Any, over: Any) -> Any:
+    """`over` on top of `under`: groups parameter by parameter, anything else as a whole.
+
+    A group of another kind (`name`) starts anew; a bare string over or under a group is its kind.
+    """
+    if isinstance(under, dict) and isinstance(over, str):
+        over = {VARIANT: over}
+    if isinstance(under, str) and isinstance(over, dict):
+        under = {VARIANT: under}
+    if not (isinstance(under, dict) and isinstance(over, dict)):
+        return cast(Any, over)
+    below, above = cast(Parameters, under), cast(Parameters, over)
+    if VARIANT in above and above[VARIANT] != below.get(VARIANT):
+        return above
+    return {**below, **{n: merge_parameters(below[n], v) if n in below else v for n, v in above.items()}}
 
 
 class External(Closed):
@@ -52,6 +73,11 @@ class Node(Closed):
 class PipelineBody(Closed):
     externals: dict[Name, External]
     stages: list[Node]
+    wants: list[Name] = Field(
+        default=[],
+        description="the nodes whose results a run is for; others run where these read them; none named: all",
+    )
+    compare: list[Name] = Field(default=[], description="nodes that the result is compared with: wanted by --compare")
     presets: dict[Name, dict[Name, Parameters]] = Field(default={}, description="preset -> node -> parameters")
     defaultPreset: Name | None = None  # noqa: N815 - Kubernetes' spelling
 
@@ -90,6 +116,7 @@ class Pipeline:
             self._check_ports(i, node)
         self.order = self._sort_nodes()
         self._check_presets()
+        self._check_wants()
 
     def under(self, preset: str | None) -> Self:
         """The pipeline with the nodes that a preset has; list ports lose their references to others."""
@@ -99,13 +126,23 @@ class Pipeline:
             single = isinstance(value, str)
             return value if single else [r for r in value if r.split(".")[0] in {*there, "external"}]
 
+        return self.keep(
+            {
+                name: {port: keep_present(value) for port, value in node.inputs.items()}
+                for name, node in self.nodes.items()
+                if name in there
+            }
+        )
+
+    def keep(self, inputs: Mapping[str, Mapping[PortName, Reference | list[Reference]]]) -> Self:
+        """The pipeline with these nodes alone, each reading these of its ports."""
         chosen = copy.copy(self)
-        chosen.order = [name for name in self.order if name in there]
-        chosen.stages = {name: self.stages[name] for name in self.nodes if name in there}
+        chosen.order = [name for name in self.order if name in inputs]
+        chosen.stages = {name: self.stages[name] for name in self.nodes if name in inputs}
         chosen.nodes = {
-            name: node.model_copy(update={"inputs": {port: keep_present(value) for port, value in node.inputs.items()}})
+            name: node.model_copy(update={"inputs": dict(inputs[name])})
             for name, node in self.nodes.items()
-            if name in there
+            if name in inputs
         }
         return chosen
 
@@ -127,13 +164,14 @@ class Pipeline:
                 found.add(name)
         return found
 
-    def parameters(self, node: str, preset: str | None) -> Parameters:
-        """The node's parameters with the preset's over them."""
+    def parameters(self, node: str, preset: str | None, defaults: Parameters | None = None) -> Parameters:
+        """The node's parameters over the defaults, with the preset's over both."""
         presets = self.spec.spec.presets
         if preset is not None and preset not in presets:
             raise ConfigurationError(f"no preset {preset!r} in {self.path}; there are {', '.join(presets)}")
         chosen = presets.get(preset or "", {})
-        return {**self.nodes[node].parameters, **chosen.get(node, {})}
+        layers = [self.nodes[node].parameters, chosen.get(node, {})]
+        return functools.reduce(merge_parameters, layers, defaults or {})
 
     def _fail(self, at: Location, message: str) -> None:
         raise ConfigurationError(f"{self.path}:{line_of(self._lines, at)}: {message}")
@@ -210,3 +248,9 @@ class Pipeline:
                     self._fail(("spec", "stages", i, "presets"), f"{node.name}: no preset {preset}")
         if body.defaultPreset is not None and body.defaultPreset not in body.presets:
             self._fail(("spec", "defaultPreset"), f"no preset {body.defaultPreset}")
+
+    def _check_wants(self) -> None:
+        for role in ("wants", "compare"):
+            for i, name in enumerate(cast(list[str], getattr(self.spec.spec, role))):
+                if name not in self.nodes:
+                    self._fail(("spec", role, i), f"no node {name}; there are {', '.join(self.nodes)}")

@@ -7,7 +7,7 @@ from pydantic import Field
 from inpaint3d.contracts.models.artifacts.results import Protocol
 from inpaint3d.contracts.models.base import Closed, Digest
 
-Status = Literal["cached", "done", "failed", "waiting", "stopped", "skipped", "pending"]
+Status = Literal["cached", "done", "failed", "waiting", "stopped", "skipped", "pending", "left-out"]
 
 
 class Change(Closed):
@@ -23,7 +23,7 @@ class NodeRun(Closed):
 
     node: str
     status: Status
-    reason: str = Field(description="why it ran, or why it did not have to")
+    reason: str = Field(description="why it ran, did not have to, or was left out: nothing asks for it")
     changes: tuple[Change, ...] = ()
     key: Digest | None = None
     components: dict[str, Any] = {}
@@ -70,6 +70,7 @@ class StageFigures(Closed):
 
     node: str
     status: Status
+    reason: str = Field(description="why it ran, did not have to, or was left out: nothing asks for it")
     cached: bool
     wall_s: float | None
     cpu_s: float | None

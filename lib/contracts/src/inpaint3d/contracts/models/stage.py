@@ -33,6 +33,9 @@ class InputPort(Closed):
     schema_range: Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9-]*@\d+$")] = Field(alias="schema")
     optional: bool = False
     list: bool = False
+    weak: bool = Field(
+        default=False, description="what is wired here is read if it is made anyway; it makes nothing run"
+    )
 
 
 class OutputPort(Closed):

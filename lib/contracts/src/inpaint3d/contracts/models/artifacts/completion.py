@@ -28,9 +28,7 @@ class CompletedView(Closed):
         description="depth/NAME.exr: depth.Z along the axis with the hole's surface completed, scene units, at the "
         "size of the field's renders; None where the method makes no surface",
     )
-    shares: dict[Origin, Share] = Field(
-        default={}, description="of the pixels that were filled, by source"
-    )
+    shares: dict[Origin, Share] = Field(default={}, description="of the pixels that were filled, by source")
 
 
 class CompletedViews(Closed):

@@ -11,30 +11,30 @@ SUFFIXES = (".json", ".txt", ".model", ".safetensors")
 LEFT_OUT = ("safety_checker",)
 
 
-def pipeline_folder(place: Path) -> Path | None:
+def find_pipeline_folder(place: Path) -> Path | None:
     """The folder of a diffusers pipeline: `place` itself, or what the hub's cache has of that name; None for others.
 
     Nothing is downloaded. Raises ConfigurationError for a place that is no folder and not in the cache.
     """
     if place.is_dir():
         return place if (place / INDEX).is_file() else None
-    cached = hub_cache() / f"models--{place.as_posix().replace('/', '--')}"
+    cached = locate_hub_cache() / f"models--{place.as_posix().replace('/', '--')}"
     revision = cached / "refs" / "main"
     if not revision.is_file():
         raise ConfigurationError(
-            f"{place} is neither a folder nor a pipeline in the hub's cache {hub_cache()}; give a folder of a "
+            f"{place} is neither a folder nor a pipeline in the hub's cache {locate_hub_cache()}; give a folder of a "
             f"diffusion-prior artifact or of a diffusers pipeline, or run `hf download {place}` first"
         )
     return cached / "snapshots" / revision.read_text().strip()
 
 
-def hub_cache() -> Path:
+def locate_hub_cache() -> Path:
     """Where the hub's client library keeps what it has downloaded."""
     home = Path(os.environ.get("HF_HOME", "~/.cache/huggingface"))
     return Path(os.environ.get("HF_HUB_CACHE", home / "hub")).expanduser()
 
 
-def kind_of(folder: Path) -> str:
+def read_kind(folder: Path) -> str:
     """The pipeline's class. Raises ConfigurationError where no denoising UNet is part of it."""
     try:
         index = json.loads((folder / INDEX).read_text())
@@ -48,7 +48,7 @@ def kind_of(folder: Path) -> str:
     return kind
 
 
-def pipeline_files(folder: Path) -> list[Path]:
+def list_pipeline_files(folder: Path) -> list[Path]:
     """Configurations and safetensors weights; no other precisions (`x.fp16.safetensors`) and no unused parts."""
     return [
         path

@@ -31,6 +31,8 @@ def compare(pipeline: Pipeline, store: Store, one: RunRecord, other_store: Store
     there = {n.node: n for n in other.nodes}
     for node in one.nodes:
         twin = there.get(node.node)
+        if node.status == "left-out" and (twin is None or twin.status == "left-out"):
+            continue
         if twin is None or not (node.outputs and twin.outputs):
             yield Row(node.node, "", "has no result", f"{node.status}, {twin.status if twin else 'not there'}")
         elif different := [n for n in ("parameters", "inputs", "seed") if node.components[n] != twin.components[n]]:

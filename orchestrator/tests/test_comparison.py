@@ -3,7 +3,7 @@ from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.models.stage import Tolerance
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.orchestrator.compare import compare
+from inpaint3d.orchestrator.comparison import compare
 from inpaint3d.orchestrator.plan import find_pipeline
 
 PIPELINE = Pipeline(find_pipeline(None))

@@ -1,0 +1,127 @@
+"""The commands that look at what there is: past runs, their results, the store."""
+
+import json
+import sys
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import open_store
+from inpaint3d.orchestrator import comparison, housekeeping
+from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, RunsPath, StorePath
+from inpaint3d.orchestrator.plan import find_pipeline
+from inpaint3d.orchestrator.publish import publish, read_report
+from inpaint3d.orchestrator.tables import show_nodes
+
+
+def add_to(app: typer.Typer) -> None:
+    """Make the commands part of `inpaint3d`."""
+    for command in (why, runs, show, verify, compare, gc, lineage):
+        app.command()(command)
+    app.command(name="publish")(publish_again)
+
+
+def why(name: str, stage: str, store: StorePath = STORE) -> None:
+    """Say why a stage ran, or did not, in the last run of NAME: which part of its key changed, old -> new."""
+    record = History(open_store(store)).latest(name)
+    found = [n for n in record.nodes if n.node == stage]
+    if not found:
+        raise ConfigurationError(f"no stage {stage} in {name}; there are {', '.join(n.node for n in record.nodes)}")
+    sys.stdout.write(f"{stage}: {found[0].status}: {found[0].reason}\n")
+    for change in found[0].changes:
+        sys.stdout.write(f"  {change.component}: {json.dumps(change.old)} -> {json.dumps(change.new)}\n")
+    if found[0].error:
+        sys.stdout.write(f"  {found[0].error}\n")
+
+
+def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
+    """List the runs that the store remembers, the newest of each name first."""
+    history = History(open_store(store))
+    records = [r for name in history.names() for r in history.of(name)]
+    if as_json:
+        sys.stdout.write(json.dumps([r.model_dump(mode="json", exclude={"nodes"}) for r in records], indent=2) + "\n")
+        return
+    table = Table("name", "started", "status", "preset", "wall s", "ran", "cached", box=None)
+    for r in records:
+        counts = [sum(n.status == s for n in r.nodes) for s in ("done", "cached")]
+        wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
+        table.add_row(r.name, r.started[:19], r.status, r.preset or "", wall, *map(str, counts))
+    Console().print(table)
+
+
+def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:
+    """Print a run's metrics, stages and times; with --json, its metrics.json."""
+    if not (runs_dir / name / "metrics.json").is_file():
+        History(open_store(store)).latest(name)  # says which names there are
+        raise ConfigurationError(f"{runs_dir / name} holds no results; run it again, or give its --runs-dir")
+    report = read_report(runs_dir / name)
+    if as_json:
+        sys.stdout.write(json.dumps(report, indent=2) + "\n")
+        return
+    show_nodes(list(History(open_store(store)).latest(name).nodes), as_json=False)
+    for protocol in report["protocols"]:
+        sys.stdout.write(f"\n{protocol['name']}: {protocol['description']}\n")
+        table = Table("method", "metric", "value", "unit", "better", "views", box=None)
+        for m in protocol["metrics"]:
+            table.add_row(m["method"], m["name"], f"{m['value']:.4g}", m["unit"], m["better"], str(m["views"]))
+        Console().print(table)
+
+
+def verify(store: StorePath = STORE) -> None:
+    """Hash every artifact in the store; bad ones are put in quarantine and will be computed again."""
+    damaged = housekeeping.verify(open_store(store))
+    for line in damaged:
+        sys.stdout.write(line + "\n")
+    sys.stderr.write(f"{len(damaged)} damaged artifacts\n")
+    raise typer.Exit(3 if damaged else 0)
+
+
+def compare(
+    name: str,
+    other: str,
+    store: StorePath = STORE,
+    other_store: Annotated[str | None, typer.Option(help="where OTHER's artifacts are kept; default: --store")] = None,
+    pipeline: PipelinePath = None,
+) -> None:
+    """Say whether the last runs of NAME and OTHER made the same artifacts, whatever ran them; 3 where not."""
+    one, two = open_store(store), open_store(other_store or store)
+    rows = list(
+        comparison.compare(
+            Pipeline(find_pipeline(pipeline)), one, History(one).latest(name), two, History(two).latest(other)
+        )
+    )
+    table = Table("stage", "output", "", "", box=None)
+    for row in rows:
+        table.add_row(row.node, row.port, row.verdict, row.detail)
+    Console(width=140).print(table)
+    raise typer.Exit(0 if all(r.verdict in ("equal", "may differ") for r in rows) else BadInputError.exit_code)
+
+
+def gc(
+    store: StorePath = STORE,
+    keep: Annotated[int, typer.Option(min=1, help="runs to keep of each name")] = 1,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what would go")] = False,
+) -> None:
+    """Remove what no kept run needs: old artifacts, keys, checkpoints, quarantine."""
+    freed, count = housekeeping.collect(open_store(store), keep=keep, dry_run=dry_run)
+    verb = "would free" if dry_run else "freed"
+    sys.stdout.write(f"{verb} {freed / 2**20:.1f} MiB in {count} artifacts\n")
+
+
+def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> None:
+    """Print what a stage's result in the last run of NAME was made from, back to the photos."""
+    opened = open_store(store)
+    for line in housekeeping.trace_lineage(opened, History(opened).latest(name), stage):
+        sys.stdout.write(line + "\n")
+
+
+def publish_again(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE) -> None:
+    """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here."""
+    opened = open_store(store)
+    publish(opened, History(opened).latest(name), runs_dir / name)
+    sys.stderr.write(f"{name}: results: {runs_dir / name}\n")
