@@ -4,8 +4,8 @@
                                [--seeds N ...] [--quick] [--threads N] [--work DIR] [--out FILE]
 
 Writes `benchmarks/results/joint.json`, its table beside it, and prints that. Every row takes the same capture, mask,
-masked reconstruction and, where it asks one, prior through the stage joint-optimization, with three seeds of that
-stage. Rows, holes and the rule for the default stand in rows.py.
+masked reconstruction and, where it asks one, prior through the stages view-completion (where it fits completed views)
+and joint-optimization, with three seeds of these. Rows, holes and the rule for the default stand in rows.py.
 
 Rows can be run one by one: what is done lies in the store below --work and is found there, what was killed goes on from
 its checkpoint, and the file is written after every row, one seed of all rows before the next. What a step of score
@@ -27,6 +27,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +46,9 @@ from benchmarks.joint.rows import (
     Figures,
     Measured,
     Parameters,
-    asks_a_prior,
     chosen,
+    find_row,
     mean,
-    parameters_of,
     shortfalls,
     spread,
 )
@@ -57,23 +57,24 @@ from benchmarks.provenance import commit
 from inpaint3d.contracts.kit.context import Inputs
 from inpaint3d.contracts.kit.shim import Invocation
 from inpaint3d.contracts.models.artifacts import Evaluation
-from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.history import History, this_machine
 from inpaint3d.orchestrator.parameters import resolve_parameters
+from inpaint3d.orchestrator.prune import find_unread_ports
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "joint.json"
 FORMATS = {"psnr": ".2f", "fd_lite0": ".0f", "gradient_share": ".2f", "wall_s": ".0f", "cpu_s": ".0f"}
 WORK = REPOSITORY / ".cache" / "bench-joint"
 DEMO = REPOSITORY / "examples" / "demo"
-JOINT, EVALUATION = "joint-optimization", "evaluation"
+COMPLETION, JOINT, EVALUATION = "view-completion", "joint-optimization", "evaluation"
 PRIOR = "diffusion-training.diffusion-prior"
 QUICK = {
     "nerf-pretraining": {"steps": 60, "view_side": 80},
     "diffusion-training": {"steps": 4},
     "masked-reconstruction": {"steps": 60, "view_side": 80},
-    JOINT: {"steps": 12, "sample_steps": 4, "score_every": 6, "terms_every": 6, "view_side": 40},
+    JOINT: {"steps": 12, "score_every": 6, "terms_every": 6, "view_side": 40},
     EVALUATION: {
         "render_longest_side": 96, "truth_views": 2, "held_out_views": 1, "picture_views": 1, "neighbour_views": 1,
     },
@@ -98,12 +99,11 @@ class Bench:
 
     def measure(self, row: str, seed: int) -> dict[str, Any]:
         """Figures of a row with a seed, and what the stage took."""
-        paper = self.pipeline.parameters(JOINT, "paper")
-        changes = parameters_of(row, paper) | self.changes.get(JOINT, {})
-        joint = self._run(JOINT, changes, self._inputs(JOINT, prior=asks_a_prior(row)), seed)
-        field = joint.outputs["radiance-field"]
-        inputs = self._inputs(EVALUATION, prior=False) | {"radiance-fields": [field]}
-        scored = self._run(EVALUATION, self.changes.get(EVALUATION, {}), inputs, 0)
+        chosen = find_row(row, self.pipeline.parameters(JOINT, "paper"))
+        made = [] if chosen.completion is None else [self._run(COMPLETION, chosen.completion, seed)]
+        completed = {f"{COMPLETION}.completed-views": record.outputs["completed-views"] for record in made}
+        joint = self._run(JOINT, chosen.joint, seed, completed)
+        scored = self._score(joint.outputs["radiance-field"])
         evaluation = self.store.open(scored.outputs["evaluation"], Evaluation)
         shown = self.work / "pictures" / self.scene / f"{row}-{seed}"
         shutil.rmtree(shown, ignore_errors=True)
@@ -115,35 +115,49 @@ class Bench:
             for m in protocol.metrics
             if m.method == label and FIGURES.get(m.name) == protocol.name
         }
-        took = {name: joint.timings[name] for name in ("wall_s", "cpu_s")}
+        took = {name: sum(record.timings[name] for record in (*made, joint)) for name in ("wall_s", "cpu_s")}
         of = {"seed": seed, "key": joint.key, "commit": commit()["commit"], "processor": this_machine().processor}
         return figures | took | of
+
+    def _score(self, field: str) -> Record:
+        """The evaluation of one field alone, without what is said of the prior."""
+        parameters = self._resolve(EVALUATION, {})
+        inputs = self._inputs(EVALUATION, parameters, self.outputs) | {"radiance-fields": [field]}
+        inputs.pop("diffusion-prior", None)
+        return self._start(EVALUATION, parameters, inputs, 0)
 
     def sds_step(self) -> dict[str, Any]:
         """What a step of score distillation costs here, in CPU seconds (cost.py)."""
         stage = self.pipeline.stages[JOINT]
-        return sds_step(Inputs(self.store, stage, self._inputs(JOINT, prior=True)), guidance=1.0)
+        parameters = self._resolve(JOINT, {"estimator": "sds"})
+        return sds_step(Inputs(self.store, stage, self._inputs(JOINT, parameters, self.outputs)), guidance=1.0)
 
     def _make(self, until: str) -> None:
         subprocess.run([*self._command, "--until", until], cwd=REPOSITORY, check=True)
         for node in History(self.store).latest(self.scene).nodes:
             self.outputs |= {f"{node.node}.{port}": digest for port, digest in node.outputs.items()}
 
-    def _inputs(self, node: str, *, prior: bool) -> dict[str, Any]:
-        """Port -> digest. A prior that nobody asks is not wired, so that another one changes nothing."""
-        if prior and PRIOR not in self.outputs:
-            self._make("diffusion-training")
-        wired = self.pipeline.references(node)
+    def _resolve(self, node: str, changes: Parameters) -> Parameters:
+        chosen = merge_parameters(self.pipeline.parameters(node, None), changes)
+        return resolve_parameters(self.pipeline, node, merge_parameters(chosen, self.changes.get(node, {})))
+
+    def _inputs(self, node: str, parameters: Parameters, outputs: Mapping[str, str]) -> dict[str, Any]:
+        """Port -> digest, of what the stage reads under these parameters; a prior is trained where one is asked."""
+        unread = {u.port for u in find_unread_ports(self.pipeline, node, parameters, ())}
+        wired = {p: refs for p, refs in self.pipeline.references(node).items() if p not in unread}
         ports = self.pipeline.stages[node].spec.inputs
-        found = {
-            port: [self.outputs[r] for r in references if r in self.outputs and (prior or r != PRIOR)]
-            for port, references in wired.items()
-        }
+        if node != EVALUATION and wired.get("diffusion-prior") and PRIOR not in outputs:
+            self._make("diffusion-training")
+            outputs = {**self.outputs, **outputs}
+        found = {port: [outputs[r] for r in references if r in outputs] for port, references in wired.items()}
         return {port: ds if ports[port].list else ds[0] for port, ds in found.items() if ds}
 
-    def _run(self, node: str, changes: Parameters, inputs: dict[str, Any], seed: int) -> Record:
-        """A stage as the scheduler would start it; at once where the store has its result."""
-        parameters = resolve_parameters(self.pipeline, node, self.pipeline.parameters(node, None) | changes)
+    def _run(self, node: str, changes: Parameters, seed: int, extra: Mapping[str, str] | None = None) -> Record:
+        """A stage as the scheduler would start it, `extra` (reference -> digest) over what was made before."""
+        parameters = self._resolve(node, changes)
+        return self._start(node, parameters, self._inputs(node, parameters, {**self.outputs, **(extra or {})}), seed)
+
+    def _start(self, node: str, parameters: Parameters, inputs: dict[str, Any], seed: int) -> Record:
         invocation = Invocation(parameters=parameters, inputs=inputs, seed=seed, threads=self.threads)
         module = self.pipeline.stages[node].spec.module
         with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
@@ -181,7 +195,7 @@ def table(result: dict[str, Any]) -> str:
     names, measured = (*FIGURES, "wall_s", "cpu_s"), result["measured"]
     default = result["default"]
     lines = [
-        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: seconds of the stage joint-optimization, "
+        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: seconds of view-completion (where the row fits completed views) and joint-optimization, "
         f"{result['machine']['cores']} cores of the row's processor.",
         "",
     ]
@@ -236,7 +250,7 @@ def main() -> None:
     for scene, (capture, mask) in captures.items():
         bench = Bench(scene, capture, mask, work, quick=options.quick, threads=options.threads)
         rows = options.rows or rows_of(scene, read(out))
-        step = bench.sds_step() if scene == "demo" and any(map(asks_a_prior, rows)) else None
+        step = bench.sds_step() if scene == "demo" and "sds" in rows else None
         for seed in seeds:
             for row in rows:
                 print(f"{scene}: {row}, seed {seed}", file=sys.stderr, flush=True)

@@ -18,13 +18,13 @@ from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.training import descend
+from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.config import Config
-from inpaint3d.stages.joint_optimization.guidance import Asked, PriorGuide
+from inpaint3d.stages.joint_optimization.guidance import PriorGuide, PriorQuery
 from inpaint3d.stages.joint_optimization.loop import Problem, choose_window
 from inpaint3d.stages.joint_optimization.parallel import Ranks
-from inpaint3d.stages.joint_optimization.patches import Window
 from inpaint3d.stages.joint_optimization.run import pose
-from inpaint3d.stages.joint_optimization.schedule import window_span
+from inpaint3d.stages.joint_optimization.schedule import TimestepRange
 
 STEPS, WARM_UP = 24, 4
 RATE = 1e-3
@@ -33,13 +33,14 @@ RATE = 1e-3
 def sds_step(inputs: Inputs, *, guidance: float) -> dict[str, Any]:
     """Medians over steps, CPU seconds: a whole step of score distillation, its render, the prior; and their ratio."""
     torch.set_num_threads(1)
-    config = Config(estimator="sds", guidance=guidance, distill_every=1, centre_steps=0)
+    estimator = {"name": "sds", "guidance": guidance, "distill_every": 1, "centre_steps": 0}
+    config = Config.model_validate({"estimator": estimator})
     problem, _ = pose(config, inputs, 0, "cpu")
     guide = problem.guide
     if not isinstance(guide, PriorGuide):
         raise TypeError(f"score distillation is guided by a prior, not by {type(guide).__name__}")
-    works = (_steps(problem), lambda step: _rendered(problem, step), lambda step: _evaluated(guide, guidance, step))
-    turns = [[_spent(work, step) for work in works] for step in range(WARM_UP + STEPS)]
+    works = (_steps(problem), lambda step: _render(problem, step), lambda step: _ask(guide, guidance, step))
+    turns = [[_take_cpu_seconds(work, step) for work in works] for step in range(WARM_UP + STEPS)]
     whole, shown, asked = (statistics.median(times) for times in zip(*turns[WARM_UP:], strict=True))
     return {
         "step_cpu_s": whole,
@@ -50,14 +51,14 @@ def sds_step(inputs: Inputs, *, guidance: float) -> dict[str, Any]:
     }
 
 
-def _spent(work: Callable[[int], None], step: int) -> float:
+def _take_cpu_seconds(work: Callable[[int], None], step: int) -> float:
     start = time.process_time()
     work(step)
     return time.process_time() - start
 
 
 def _steps(problem: Problem) -> Callable[[int], None]:
-    optimizer = Adam(problem.field, hash_decay=problem.config.hash_decay_weight)
+    optimizer = Adam(problem.field, hash_decay=problem.config.loss_weights.hash_decay)
 
     def work(step: int) -> None:
         # One step on, since the first has no weight yet and so no distillation term.
@@ -67,14 +68,14 @@ def _steps(problem: Problem) -> Callable[[int], None]:
     return work
 
 
-def _rendered(problem: Problem, step: int) -> None:
+def _render(problem: Problem, step: int) -> None:
     """Every ray of a step: random ones, depth patches and the hole with gradients, the patch's known part without."""
     config, field = problem.config, problem.field
     rng, generator = step_generators(problem.seed, step + 1)
     window = _window(problem, step + 1, rng)
     view = problem.to_fill[window.view]
     rays = camera_rays(view.camera, window.pixels())
-    hole = torch.from_numpy(window.look_up(view.hole))
+    hole = torch.from_numpy(window.sample(view.hole))
     batch = problem.bank.draw(
         config.rays, patches=config.depth_patches, patch_size=config.depth_patch_size, generator=generator
     )
@@ -87,20 +88,20 @@ def _rendered(problem: Problem, step: int) -> None:
 
 
 def _window(problem: Problem, step: int, rng: np.random.Generator) -> Window:
-    config, guide = problem.config, problem.guide
-    if guide is None:
+    if problem.guided is None:
         raise ValueError("nothing is distilled without a guide")
-    span = window_span(step, config.steps, first=config.span_first, last=config.span_last)
-    return choose_window(problem.to_fill, guide, config, since=step, span=span, rng=rng)
+    guide, estimator = problem.guided
+    span = estimator.span_at(step, problem.config.steps)
+    return choose_window(problem.to_fill, guide, estimator, since=step, span=span, rng=rng)
 
 
-def _evaluated(guide: PriorGuide, guidance: float, step: int) -> None:
+def _ask(guide: PriorGuide, guidance: float, step: int) -> None:
     prior = guide.prior
     generator = torch.Generator().manual_seed(step)
     size = guide.size
     hole = torch.zeros(size, size, dtype=torch.bool)
     hole[size // 4 : 3 * size // 4, size // 4 : 3 * size // 4] = True
-    patch = torch.rand(size, size, 3, generator=generator)
-    x, mask, t, eps, fill = Asked.about(patch, hole, (0.5, 0.6), generator, prior.latent_shape)
+    patch, times = torch.rand(size, size, 3, generator=generator), TimestepRange(0.5, 0.6, floored=False)
+    x, mask, t, eps, fill = PriorQuery.draw(patch, hole, times, generator, prior.latent_shape)
     with torch.no_grad():
         prior.predict_noise(eps, t, x, mask, guidance=guidance, noise_fill=fill)

@@ -2,46 +2,54 @@
 
 import math
 import statistics
+from dataclasses import dataclass
 from typing import Any
 
-from inpaint3d.stages.joint_optimization.config import WITHOUT_PRIOR
+from inpaint3d.contracts.models.pipeline import merge_parameters
 
 Parameters = dict[str, Any]
 Figures = dict[str, float]
 
 SEEDS = (0, 1, 2)
 
-BASELINES: dict[str, Parameters] = {
-    "no-prior": {"estimator": "none"},
-    "classical": {"estimator": "classical"},
-    "inpaint-then-nerf": {"estimator": "inpaint-then-nerf"},
+
+@dataclass(frozen=True)
+class Row:
+    """What a row changes of the joint optimisation, and, where it fits completed views, of their making."""
+
+    joint: Parameters
+    completion: Parameters | None = None
+
+
+FIT = {"name": "completed-views"}
+BASELINES: dict[str, Row] = {
+    "no-prior": Row({"estimator": "none"}),
+    "classical": Row({"estimator": FIT | {"weight": 0.0, "filled_share": None}}, {"method": "classical"}),
+    # LPIPS of one window a view, as the prior samples it: the pictures agree too little for their pixels to be fitted.
+    "inpaint-then-nerf": Row(
+        {"estimator": FIT | {"weight": 0.1, "filled_share": 0.0, "windows": "whole-hole", "span": 0.75}},
+        {"method": "prior-samples"},
+    ),
 }
-ESTIMATORS: dict[str, Parameters] = {
-    "sds": {"estimator": "sds"},
-    "nfsd": {"estimator": "nfsd"},
-    "sdi": {"estimator": "sdi"},
-    "ism": {"estimator": "ism"},
-    "vsd": {"estimator": "vsd"},
-    "denoised-target": {"estimator": "denoised-target"},
-    "dataset-update": {"estimator": "dataset-update"},
-    "features-nearest": {"estimator": "features", "matching": "nearest"},
-    "features-sliced": {"estimator": "features", "matching": "sliced"},
-    "reference": {"estimator": "reference"},
+ESTIMATORS: dict[str, Row] = {
+    **{n: Row({"estimator": n}) for n in ("sds", "nfsd", "sdi", "ism", "vsd", "denoised-target", "dataset-update")},
+    "features-nearest": Row({"estimator": {"name": "features", "matching": "nearest"}}),
+    "features-sliced": Row({"estimator": {"name": "features", "matching": "sliced"}}),
+    "photo-completion": Row({"estimator": FIT}, {"method": "photo-completion"}),
 }
 # What the preset `paper` says of the optimisation, at the size of field, rays and prior that all rows share.
-PAPER_NAMES = (
-    "estimator", "start", "t_min", "t_width", "diffuse_start", "distill_every", "span_first", "span_last", "steps",
-    "schedule_steps", "learning_rate_steps", "learning_rate_warmup", "near_gradient", "hole", "guidance",
-    "sight_weight",
-)  # fmt: skip
+PAPER_NAMES = ("estimator", "start", "steps", "optimizer", "loss_weights")
 PAPER_ROWS: dict[str, Parameters] = {
     "paper": {},
-    "paper-without-depth-loss": {"depth_weight": 0.0},
-    "paper-without-diffuse-start": {"diffuse_start": False},
+    "paper-without-depth-loss": {"loss_weights": {"depth": 0.0}},
+    "paper-without-diffuse-start": {"estimator": {"diffuse_start": False}},
 }
 # Added when the first seed of the above had been seen: at the paper's guidance, 8, a small prior saturates colours, and
 # what the ablations change no longer shows.
-PAPER_ROWS |= {f"{row}-guidance-1": changes | {"guidance": 1.0} for row, changes in PAPER_ROWS.items()}
+PAPER_ROWS |= {
+    f"{row}-guidance-1": merge_parameters(changes, {"estimator": {"guidance": 1.0}})
+    for row, changes in PAPER_ROWS.items()
+}
 ROWS = (*BASELINES, *ESTIMATORS, *PAPER_ROWS)
 
 HOLES = {
@@ -76,16 +84,11 @@ FIGURES = {
 Measured = dict[str, dict[str, list[Figures]]]
 
 
-def parameters_of(row: str, paper: Parameters) -> Parameters:
-    """What a row changes; `paper`: the preset's parameters of the joint optimisation."""
-    if row in PAPER_ROWS:
-        return {name: paper[name] for name in PAPER_NAMES} | PAPER_ROWS[row]
-    return (BASELINES | ESTIMATORS)[row]
-
-
-def asks_a_prior(row: str) -> bool:
-    """Whether a row's estimator needs a diffusion prior."""
-    return row in PAPER_ROWS or (BASELINES | ESTIMATORS)[row]["estimator"] not in WITHOUT_PRIOR
+def find_row(name: str, paper: Parameters) -> Row:
+    """A row by its name; `paper`: the preset's parameters of the joint optimisation."""
+    if name in PAPER_ROWS:
+        return Row(merge_parameters({n: paper[n] for n in PAPER_NAMES}, PAPER_ROWS[name]))
+    return (BASELINES | ESTIMATORS)[name]
 
 
 def mean(runs: list[Figures], name: str) -> float:

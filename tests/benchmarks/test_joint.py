@@ -9,14 +9,13 @@ from benchmarks.joint.rows import (
     ROWS,
     Figures,
     Measured,
-    asks_a_prior,
     chosen,
-    parameters_of,
+    find_row,
     shortfalls,
     spread,
 )
 
-from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.orchestrator.parameters import resolve_parameters
 from tests.conftest import REPOSITORY
 
@@ -32,11 +31,14 @@ def measured(**rows: list[Figures]) -> Measured:
     return {"demo": {name: seeds(POOR) for name in BASELINES} | {n.replace("_", "-"): r for n, r in rows.items()}}
 
 
-@pytest.mark.parametrize("row", ROWS)
-def test_every_row_has_valid_parameters(row):
+@pytest.mark.parametrize("name", ROWS)
+def test_every_row_has_valid_parameters(name):
+    """What a row says is what the stages get, whatever else they fill in."""
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
-    changes = parameters_of(row, pipeline.parameters("joint-optimization", "paper"))
-    assert changes.items() <= resolve_parameters(pipeline, "joint-optimization", changes).items()
+    row = find_row(name, pipeline.parameters("joint-optimization", "paper"))
+    for node, changes in (("joint-optimization", row.joint), ("view-completion", row.completion or {})):
+        resolved = resolve_parameters(pipeline, node, changes)
+        assert merge_parameters(resolved, changes) == resolved
 
 
 def test_blur_is_not_a_fill_however_small_its_lpips():
@@ -69,16 +71,21 @@ def test_a_gain_within_the_seeds_spread_does_not_count():
 
 def test_the_paper_s_rows_take_its_schedule_and_leave_the_sizes_alone():
     paper = Pipeline(REPOSITORY / "pipeline.yaml").parameters("joint-optimization", "paper")
-    row = parameters_of("paper", paper)
-    assert (row["t_min"], row["schedule_steps"], row["guidance"], row["sight_weight"]) == (0.2, 2200, 8.0, 0.0)
+    row = find_row("paper", paper).joint
+    estimator = row["estimator"]
+    assert (estimator["t_min"], estimator["schedule_steps"], estimator["guidance"]) == (0.2, 2200, 8.0)
+    assert row["loss_weights"]["line_of_sight"] == 0.0
     assert not {"rays", "architecture", "depth_patch_size"} & row.keys()
-    assert parameters_of("paper-without-depth-loss", paper) == row | {"depth_weight": 0.0}
+    without = find_row("paper-without-depth-loss", paper).joint
+    assert without == row | {"loss_weights": row["loss_weights"] | {"depth": 0.0}}
+    assert find_row("paper-guidance-1", paper).joint["estimator"] == estimator | {"guidance": 1.0}
     assert set(ESTIMATORS) & set(BASELINES) == set()
 
 
-def test_rows_that_ask_no_prior_are_known():
-    unasked = {row for row in ROWS if not asks_a_prior(row)}
-    assert unasked == {"no-prior", "classical", "features-nearest", "features-sliced", "reference"}
+def test_rows_that_fit_completed_views_say_how_these_are_made():
+    paper = Pipeline(REPOSITORY / "pipeline.yaml").parameters("joint-optimization", "paper")
+    fitting = {name for name in ROWS if find_row(name, paper).completion is not None}
+    assert fitting == {"classical", "inpaint-then-nerf", "photo-completion"}
 
 
 def test_a_scene_outside_the_rule_changes_no_choice_and_takes_the_chosen_row_alone(tmp_path):

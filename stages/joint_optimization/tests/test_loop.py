@@ -11,6 +11,7 @@ import torch
 import yaml
 
 from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.models.pipeline import merge_parameters
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Store
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
@@ -22,11 +23,10 @@ from inpaint3d.stages.joint_optimization.guidance import PriorGuide, Timesteps
 from inpaint3d.stages.joint_optimization.loop import Problem, trace_sparse_points
 from inpaint3d.stages.joint_optimization.parallel import Ranks
 from inpaint3d.stages.joint_optimization.run import pose
-from tests.parameters import merge
 
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
 # Four steps of reconstruction first; everything that anneals has its own length.
-PARAMETERS = merge(
+PARAMETERS = merge_parameters(
     TINY,
     {
         "steps": 40,
@@ -57,7 +57,7 @@ class Noting(PriorGuide):
 @pytest.fixture
 def posed(store: Store, inputs: Callable[..., dict[str, Any]]) -> Make:
     def make(**parameters: Any) -> Problem:
-        config = Config.model_validate(merge(PARAMETERS, parameters))
+        config = Config.model_validate(merge_parameters(PARAMETERS, parameters))
         spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
         problem, _ = pose(config, Inputs(store, spec, inputs()), 0, "cpu")
         assert isinstance(problem.guide, PriorGuide)

@@ -13,6 +13,7 @@ from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Interr
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.contracts.kit.shim import Invocation, execute
 from inpaint3d.contracts.models.artifacts import DiffusionPrior, PriorSpec, RadianceFieldArtifact
+from inpaint3d.contracts.models.pipeline import merge_parameters
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.diffusion.io import save_prior
@@ -28,7 +29,6 @@ from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.estimators import ESTIMATORS
 from inpaint3d.stages.joint_optimization.run import run
-from tests.parameters import merge
 from tests.room_artifacts import put_completed
 
 MODULE = "inpaint3d.stages.joint_optimization"
@@ -38,7 +38,7 @@ Wired = Callable[..., dict[str, Any]]
 
 
 def optimise(store: Store, inputs: dict[str, Any], **parameters: Any) -> Artifact[RadianceFieldArtifact]:
-    invocation = Invocation(inputs=inputs, parameters=merge(TINY, parameters), threads=1)
+    invocation = Invocation(inputs=inputs, parameters=merge_parameters(TINY, parameters), threads=1)
     record = execute(MODULE, store, invocation, io.StringIO())
     return store.open(record.outputs["radiance-field"], RadianceFieldArtifact)
 
@@ -270,7 +270,7 @@ def test_stopped_and_resumed_is_the_run_without_the_stop(
 ) -> None:
     """What vsd's copy learnt and the pictures of dataset-update are in the checkpoint too, and all ranks stop alike."""
     spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
-    config, wired = Config.model_validate(merge(TINY, parameters)), inputs()
+    config, wired = Config.model_validate(merge_parameters(TINY, parameters)), inputs()
     wired["completed-views"] = put_completed(store, room)
 
     def artifact(work: Path, *stops: int | None) -> str:
