@@ -6,7 +6,7 @@ The instances are what the stubs write. One that is there is never touched: it s
 import tempfile
 from pathlib import Path
 
-from inpaint3d.contracts.kit.suite import Upstream, invoke
+from inpaint3d.contracts.kit.upstream import Upstream, invoke
 from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus
 from inpaint3d.contracts.models.manifest import MANIFEST
 from inpaint3d.contracts.models.pipeline import Pipeline

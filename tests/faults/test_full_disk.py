@@ -5,7 +5,7 @@ import resource
 import subprocess
 
 from inpaint3d.contracts.kit.shim import Invocation
-from inpaint3d.contracts.kit.suite import build_command, store_externals
+from inpaint3d.contracts.kit.upstream import build_command, store_externals
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore
 from tests.conftest import REPOSITORY

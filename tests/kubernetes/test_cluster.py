@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from inpaint3d.contracts.kit.suite import Upstream, store_externals
+from inpaint3d.contracts.kit.upstream import Upstream, store_externals
 from inpaint3d.contracts.models.cluster import ClusterSpec, ImagesSpec, Scene, Submission
 from inpaint3d.contracts.models.documents import load_document, load_yaml
 from inpaint3d.contracts.models.pipeline import Pipeline

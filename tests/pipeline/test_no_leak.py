@@ -9,7 +9,7 @@ import shutil
 import numpy as np
 import pytest
 
-from inpaint3d.contracts.kit.suite import Upstream, invoke
+from inpaint3d.contracts.kit.upstream import Upstream, invoke
 from inpaint3d.contracts.models.artifacts import MaskSet, PosedCapture
 from inpaint3d.contracts.models.documents import load_yaml
 from inpaint3d.contracts.models.pipeline import Pipeline

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.models.canonical import canonical_json, digest_of, file_digest, tree_digest
+from inpaint3d.contracts.models.canonical import canonical_json, digest_of, file_digest
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -36,14 +36,3 @@ def test_known_digests(tmp_path):
     # FIPS 180-2's own example.
     assert file_digest(tmp_path / "a").endswith("ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad")
     assert digest_of({"b": 1, "a": 2}) == "sha256:" + hashlib.sha256(b'{"a":2,"b":1}').hexdigest()
-
-
-def test_tree_digest_sees_names_and_bytes_but_no_caches(tmp_path):
-    (tmp_path / "a.py").write_text("1")
-    first = tree_digest(tmp_path, (".py",))
-    (tmp_path / "__pycache__").mkdir()
-    (tmp_path / "__pycache__" / "a.py").write_text("x")
-    (tmp_path / "notes.md").write_text("x")
-    assert tree_digest(tmp_path, (".py",)) == first
-    (tmp_path / "a.py").rename(tmp_path / "b.py")
-    assert tree_digest(tmp_path, (".py",)) != first

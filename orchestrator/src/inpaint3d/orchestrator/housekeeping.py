@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.kit.code import CODE_FOLDER, code_path
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Record, Store, key_path
@@ -34,18 +35,27 @@ def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
 def _collect(store: Store, keep: int, *, dry_run: bool) -> tuple[int, int]:
     keys, objects = _needed(store, keep)
     gone = [d for d in store.objects() if d not in objects]
-    stale = [r.key for r in store.records() if r.key not in keys]
+    records = list(store.records())
+    stale = [r.key for r in records if r.key not in keys]
     litter = [p for folder in ("work", "quarantine") for p in (store.root / folder).iterdir()]
     freed = sum(map(store.size, gone)) + sum(map(_size, litter))
     if not dry_run:
         store.sweep_tmp()
         for key in stale:  # keys first: a kill in between leaves no key without its objects
             store.remove(key_path(key))
+        for path in _find_stale_listings(store, [r for r in records if r.key in keys]):
+            store.remove(path)
         for digest in gone:
             store.drop_object(digest)
         for path in litter:
             shutil.rmtree(path)
     return freed, len(gone)
+
+
+def _find_stale_listings(store: Store, kept: list[Record]) -> list[str]:
+    """What lies behind the code of results that are not kept."""
+    named = {code_path(r.components["code"]) for r in kept if "code" in r.components}
+    return [path for name in store.names(CODE_FOLDER) if (path := f"{CODE_FOLDER}/{name}") not in named]
 
 
 def _needed(store: Store, keep: int) -> tuple[set[Digest], set[Digest]]:

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.kit.keys import Inputs, code_digest, key_components, run_key
+from inpaint3d.contracts.kit.code import code_digest, name_changed_files
+from inpaint3d.contracts.kit.keys import Inputs, key_components, run_key
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.cluster import Image
 from inpaint3d.contracts.models.pipeline import Pipeline
@@ -111,7 +112,7 @@ class Planner:
         record = self.store.lookup(key)
         before = self.history.last_key_of(self.name, node)
         reason, changes = explain(components, key, before, record, force=force)
-        return Task(node, key, components, inputs, record, reason, changes)
+        return Task(node, key, components, inputs, record, reason, name_changed_files(changes, self.store))
 
     def request_problem(self, node: str) -> str | None:
         """What a node's result shows to be wrong with the mask request, before the stage that reads it has its turn."""

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, RetryableError, from_os_error
-from inpaint3d.contracts.kit.keys import IMAGE_DIGEST
+from inpaint3d.contracts.kit.code import IMAGE_DIGEST
 from inpaint3d.contracts.kit.shim import GRACE_S, Invocation, die_with_parent
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.canonical import digest_of

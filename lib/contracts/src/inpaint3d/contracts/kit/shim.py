@@ -25,8 +25,9 @@ from typing import Any, TextIO, cast
 from pydantic import Field, ValidationError, field_validator
 
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, from_os_error
+from inpaint3d.contracts.kit.code import code_digest, save_code
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
-from inpaint3d.contracts.kit.keys import code_digest, key_components, run_key
+from inpaint3d.contracts.kit.keys import key_components, run_key
 from inpaint3d.contracts.kit.provenance import describe_provenance
 from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.manifest import first_error
@@ -112,6 +113,7 @@ def execute(module: str, store: Store, invocation: Invocation, events: TextIO) -
     with store.shared(), store.lock(key):
         if (record := store.lookup(key)) is None:
             store.sweep_tmp()
+            save_code(store, module)
             record = _run(module, spec, store, invocation, key, components, events)
     return record
 

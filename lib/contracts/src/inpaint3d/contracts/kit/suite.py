@@ -3,11 +3,11 @@
     from inpaint3d.contracts.kit.suite import stage_contract
     TestContract = stage_contract(__file__)
 
-Inputs are made by the stubs of the stages upstream in the repository's `pipeline.yaml`, so that each run also proves
-that every edge of the DAG accepts what its producer writes.
+Inputs are made by the stubs of the stages upstream in the repository's `pipeline.yaml`, and what a tiny real run writes
+is read by the stages downstream.
 """
 
-import json
+import ast
 import os
 import signal
 import subprocess
@@ -18,12 +18,13 @@ from typing import Any, ClassVar
 
 import pytest
 
+from inpaint3d.contracts.kit.context import Inputs
 from inpaint3d.contracts.kit.shim import Invocation
-from inpaint3d.contracts.models.artifacts import MaskRequestArtifact, Source
-from inpaint3d.contracts.models.artifacts.masks import MaskRequest
+from inpaint3d.contracts.kit.upstream import Result, Upstream, build_command, invoke
+from inpaint3d.contracts.models.artifacts import SCHEMAS, Source
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.documents import load_yaml
-from inpaint3d.contracts.models.manifest import is_compatible
+from inpaint3d.contracts.models.manifest import split_schema
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.stage import StageSpec, load_stage
 from inpaint3d.contracts.store import FolderStore, Store
@@ -32,70 +33,18 @@ TENSOR_LIBRARIES = ("torch", "pycolmap", "onnxruntime")
 DAMAGED: Digest = "sha256:" + "0" * 64
 
 
-class Upstream:
-    """A store holding the stub outputs of every stage before one node, and those that came from outside."""
-
-    def __init__(self, pipeline: Pipeline, node: str, store: Store) -> None:
-        self.pipeline, self.node, self.store = pipeline, node, store
-        self.produced: dict[str, Digest] = store_externals(store)
-        for name in pipeline.order:
-            if node in pipeline.downstream(name):
-                result = invoke(pipeline.stages[name], store, self.inputs_of(name), stub=True)
-                if result.code != 0:
-                    raise AssertionError(f"stub of {name} failed: {result.error}\n{result.stderr}")
-                self.produced |= {f"{name}.{port}": digest for port, digest in result.outputs.items()}
-
-    def inputs_of(self, node: str) -> dict[str, Any]:
-        """Port -> digest (a list for list ports) of what the node reads; absent optional inputs left out."""
-        ports = self.pipeline.stages[node].spec.inputs
-        found: dict[str, Any] = {}
-        for port, references in self.pipeline.references(node).items():
-            digests = [self.produced[r] for r in references if r in self.produced]
-            if digests:
-                found[port] = digests if ports[port].list else digests[0]
-        return found
-
-
-class Result:
-    """What one run of a stage left behind."""
-
-    def __init__(self, process: subprocess.CompletedProcess[str]) -> None:
-        self.code, self.stderr = process.returncode, process.stderr
-        self.events: list[dict[str, Any]] = [json.loads(line) for line in process.stdout.splitlines()]
-        last: dict[str, Any] = self.events[-1] if self.events else {}
-        self.outputs: dict[str, Digest] = last.get("outputs", {})
-        self.error: str = last.get("message", "")
-
-
-def build_command(spec: StageSpec, store: Store, invocation: Invocation) -> list[str]:
-    """The command line that runs a stage on this machine, its invocation written below the store."""
-    folder = store.private_folder()
-    (folder / "invocation.json").write_text(invocation.model_dump_json())
-    return [
-        sys.executable, "-W", "ignore", "-m", spec.spec.module, "run",
-        "--store", store.place, "--invocation", str(folder / "invocation.json"),
-    ]  # fmt: skip
-
-
-def invoke(spec: StageSpec, store: Store, inputs: dict[str, Any], **options: Any) -> Result:
-    """Run a stage as a process on artifacts of the store."""
-    line = build_command(spec, store, Invocation(inputs=inputs, threads=1, **options))
-    return Result(subprocess.run(line, capture_output=True, text=True, check=False))
-
-
-def store_externals(store: Store) -> dict[str, Digest]:
-    """A source and a mask request, as the orchestrator would take them in."""
-    folder = store.private_folder()
-    (folder / "raw").mkdir()
-    (folder / "raw" / "readme.txt").write_text("the stub of capture-ingest does not look")
-    source = store.put(folder, "source", Source(name="tiny", kind="folder"))
-    request = MaskRequest.model_validate({"mask": {"kind": "sphere", "centre": [0, 0, 0], "radius": 0.3}})
-    mask = store.put(store.private_folder(), "mask-request", MaskRequestArtifact(request=request))
-    return {"external.capture": source, "external.mask-request": mask}
-
-
 def list_committed_keys(store: Store) -> set[str]:
     return {r.key for r in store.records()}
+
+
+def list_tests(file: Path) -> list[str]:
+    """The test functions that pytest collects from a file, in classes or not."""
+    found: list[str] = []
+    for statement in ast.parse(file.read_text()).body:
+        inner = statement.body if isinstance(statement, ast.ClassDef) and statement.name.startswith("Test") else ()
+        functions = [s for s in (statement, *inner) if isinstance(s, ast.FunctionDef | ast.AsyncFunctionDef)]
+        found += [f.name for f in functions if f.name.startswith("test")]
+    return found
 
 
 class StageContract:
@@ -154,6 +103,7 @@ class StageContract:
             assert (package / file).is_file(), file
         for file in ("stage.yaml", "README.md", "pyproject.toml", "tests/test_contract.py", "tests/test_run.py"):
             assert (self.folder / file).is_file(), file
+        assert list_tests(self.folder / "tests" / "test_run.py"), "test_run.py tests nothing"
         assert spec.metadata.name == self.folder.name.replace("_", "-")
         assert spec.spec.module == f"inpaint3d.stages.{self.folder.name}"
 
@@ -176,14 +126,24 @@ class StageContract:
         )
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
-    def test_downstream_accepts_what_it_writes(self, upstream: Upstream, spec: StageSpec) -> None:
-        for name in upstream.pipeline.order:
-            for port, references in upstream.pipeline.references(name).items():
-                wanted = upstream.pipeline.stages[name].spec.inputs[port].schema_range
-                for reference in references:
-                    node, _, output = reference.partition(".")
-                    if node in upstream.pipeline.nodes and upstream.pipeline.stages[node].id == spec.id:
-                        assert is_compatible(spec.spec.outputs[output].schema_id, wanted)
+    def test_downstream_accepts_what_it_writes(self, upstream: Upstream, real: Result) -> None:
+        """Who reads a real output opens it at its own ports, and the first of them runs its stub on it."""
+        assert real.code == 0, real.error + real.stderr
+        for digest in real.outputs.values():
+            name = split_schema(upstream.store.manifest(digest).schema_id)[0]
+            upstream.store.open(digest, SCHEMAS[name][1])
+        readers = upstream.readers_of(upstream.node, real.outputs)
+        if not readers:  # the last of a pipeline: the orchestrator reads it, by that same model
+            return
+        upstream.take(upstream.node, real)
+        upstream.prepare(first := next(iter(readers)))
+        result = invoke(upstream.pipeline.stages[first], upstream.store, upstream.inputs_of(first), stub=True)
+        assert result.code == 0, f"{first} does not accept it: {result.error}\n{result.stderr}"
+        for reader, ports in readers.items():
+            inputs = Inputs(upstream.store, upstream.pipeline.stages[reader], upstream.inputs_of(reader))
+            for port in ports:
+                schema = upstream.pipeline.stages[reader].spec.inputs[port].schema_range
+                assert inputs.many(port, SCHEMAS[split_schema(schema)[0]][1]), f"{reader}.{port} got nothing"
 
     def test_missing_input_is_bad_input_and_commits_nothing(self, upstream: Upstream, spec: StageSpec) -> None:
         before = list_committed_keys(upstream.store)

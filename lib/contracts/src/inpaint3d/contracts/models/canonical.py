@@ -37,16 +37,3 @@ def digest_of_chunks(chunks: Iterable[bytes]) -> str:
     for chunk in chunks:
         sha.update(chunk)
     return "sha256:" + sha.hexdigest()
-
-
-def tree_digest(root: Path, suffixes: tuple[str, ...] | None = None) -> str:
-    """`sha256:…` over the relative paths and bytes of a folder's files (caches and hidden files left out)."""
-    files = sorted(
-        p
-        for p in root.rglob("*")
-        if p.is_file()
-        and "__pycache__" not in p.parts
-        and not any(part.startswith(".") for part in p.relative_to(root).parts)
-        and (suffixes is None or p.suffix in suffixes)
-    )
-    return digest_of([[p.relative_to(root).as_posix(), file_digest(p)] for p in files])

@@ -25,7 +25,7 @@ TOO_MUCH = 0.95  # of all pixels masked: nothing is left to reconstruct the scen
 
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
-    """See the stage's README; ports and files are described in `stage.yaml` and `contracts.artifacts.masks`."""
+    """See the stage's README; ports and files are described in `stage.yaml` and `contracts.models.artifacts.masks`."""
     cv2.setNumThreads(ctx.threads)
     posed = inputs.one("posed-capture", PosedCapture)
     views, depth_views = load_depth_views(posed, inputs.one("radiance-field", RadianceFieldArtifact))
