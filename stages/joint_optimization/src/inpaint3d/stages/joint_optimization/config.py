@@ -3,7 +3,7 @@
 Row numbers (S6, L3, ...) are those of docs/conformance.md, which also says what the paper's values are.
 """
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -22,7 +22,7 @@ Estimator = Literal[
 WITHOUT_GUIDE = ("none", "classical")
 WITHOUT_PRIOR = (*WITHOUT_GUIDE, "features", "reference")
 ASKED = ["diffusers-pipeline|diffusion-prior"]
-READS = {name: [] if name in WITHOUT_PRIOR else ASKED for name in get_args(Estimator)}
+READS: dict[str, Any] = {name: [] if name in WITHOUT_PRIOR else ASKED for name in get_args(Estimator)}
 
 
 class Config(Closed):
