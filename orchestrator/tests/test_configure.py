@@ -1,5 +1,7 @@
 """A node runs only if a wanted result reads it under these parameters; what would change nothing is refused."""
 
+import json
+
 import pytest
 
 from inpaint3d.contracts.errors import ConfigurationError
@@ -44,6 +46,21 @@ def test_of_two_ports_the_first_that_is_given_is_read(toy):
         asked = configured(toy, "join.estimator=sds", given=("capture", *given))
         assert {"prior", "diffusers"} & set(asked.pipeline.references("join")) == {port}
     assert asked.left_out["train"] == "nothing asks for it: join reads diffusers instead of prior"
+
+
+def test_a_port_that_two_parameters_govern_is_read_if_both_say_so(toy):
+    file = toy.path.parent / "schemas" / "parameters" / "join.json"
+    schema = json.loads(file.read_text())
+    schema["properties"]["steps"]["x-reads"] = {"10": ["initial-field"]}
+    file.write_text(json.dumps(schema))
+    assert "initial-field" in configured(toy).pipeline.references("join")
+    for assignment, reason in (
+        ("join.steps=11", "join's steps 11 does not read initial-field"),
+        ("join.start=fresh", "join's start fresh does not read initial-field"),
+    ):
+        left = configured(toy, assignment)
+        assert "initial-field" not in left.pipeline.references("join")
+        assert reason in left.left_out["known"]
 
 
 def test_what_is_named_is_wanted(toy):

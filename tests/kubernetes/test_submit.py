@@ -1,17 +1,24 @@
 """What is given to a cluster and asked of it, with a kubectl that writes down what it was told."""
 
 import json
+import os
 import sys
 
 import pytest
 import yaml
 
-from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts import Source
-from inpaint3d.contracts.store import FolderStore, Record
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.store import FolderStore, Record, open_store
 from inpaint3d.orchestrator import cluster as clusters
+from inpaint3d.orchestrator.emit.argo import LEFT_OUT
 from inpaint3d.orchestrator.emit.check import check
+from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import DIGEST, TOY, cluster, submission
+
+API_VERSION = "inpaint3d/v1"
+PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
 
 KUBECTL = """#!{python}
 import json, pathlib, sys
@@ -55,6 +62,28 @@ def test_submit_applies_the_template_then_creates_the_workflows(store, kubectl):
     assert applied == ["--namespace", "inpaint3d", "apply", "-f", "-"]
     assert created == ["--namespace", "inpaint3d", "create", "-f", "-"]
     assert [yaml.safe_load(template), *yaml.safe_load_all(workflows)] == documents
+
+
+@pytest.mark.parametrize("flags", [(), ("--compare",)])
+def test_the_command_writes_what_is_wanted_and_says_what_is_left_out(cli, capture, bucket, tmp_path, flags):
+    where = cluster(store=bucket, endpoint=os.environ["AWS_ENDPOINT_URL"])
+    (tmp_path / "cluster.yaml").write_text(where.model_dump_json(by_alias=True))
+    images = {name: image.model_dump() for name, image in submission(PIPELINE).images.items()}
+    (tmp_path / "images.yaml").write_text(json.dumps({"apiVersion": API_VERSION, "kind": "Images", "spec": images}))
+    files = ("--cluster", str(tmp_path / "cluster.yaml"), "--images", str(tmp_path / "images.yaml"))
+    result = cli("emit", "argo", str(capture), "--name", "spring", "--seed", "3", *files, *flags)
+    assert result.returncode == 0, result.stderr
+    documents = list(yaml.safe_load_all(result.stdout))
+    assert check(documents, PIPELINE) == []
+    left_out = set(json.loads(documents[0]["metadata"]["annotations"][LEFT_OUT]))
+    assert left_out == {"diffusion-training", "continued-reconstruction"} - (
+        {"continued-reconstruction"} if flags else set()
+    )
+    submitted = clusters.load_submission(open_store(bucket), "spring")
+    assert (submitted.compare, submitted.seed, submitted.preset) == (bool(flags), 3, "standard")
+    wrong = cli("emit", "argo", str(capture), *files, "--set", "diffusion-training.steps=3")
+    assert wrong.returncode == 2
+    assert "diffusion-training is left out" in wrong.stderr
 
 
 def test_status_tells_of_pods_and_waits(kubectl):

@@ -206,6 +206,7 @@ def test_options_that_make_no_sense_together_or_alone(cli, capture, options, say
     assert result.returncode == 2
     assert says in result.stderr
     assert not (cli.store / "runs").exists()
+    assert not (cli.store / "objects").exists() or not list((cli.store / "objects").iterdir()), "nothing was taken in"
 
 
 def test_json_lines_are_json(cli, capture):

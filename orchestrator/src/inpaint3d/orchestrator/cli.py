@@ -84,7 +84,7 @@ def run(
     log_format: LogFormat = "auto",
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
-    configured, store = ConfiguredRequest(request, selection.named), open_store(places.store)
+    configured, store = ConfiguredRequest(request, selection), open_store(places.store)
     images = _images(environment)
     runner = ProcessRunner() if images is None else ContainerRunner(find_engine(engine), images)
     codes: list[int] = []
@@ -117,7 +117,7 @@ def evaluate_dataset(
         raise ConfigurationError(f"no data set {dataset}; there are {', '.join(DATASETS)}")
     known, found = DATASETS[dataset], find_scenes(DATASETS[dataset], folder, scene)
     asked = dataclasses.replace(request, preset=request.preset or known.preset)
-    configured, store = ConfiguredRequest(asked), open_store(places.store)
+    configured, store = ConfiguredRequest(asked, Selection()), open_store(places.store)
     scores: list[SceneScore] = []
     codes: list[int] = []
     for path in found:
@@ -178,7 +178,7 @@ def plan(
     as_json: AsJson = False,
 ) -> None:
     """Say what `run` would do and why, stage by stage, without doing it."""
-    configured = ConfiguredRequest(request, selection.named)
+    configured = ConfiguredRequest(request, selection)
     planner = configured.planner(open_store(store), capture, name, _images(environment))
     show_nodes(preview(planner, selection), as_json=as_json)
 

@@ -32,7 +32,7 @@ from inpaint3d.orchestrator.options import (
 from inpaint3d.orchestrator.options import (
     Scene as Scenes,
 )
-from inpaint3d.orchestrator.plan import find_pipeline
+from inpaint3d.orchestrator.plan import Selection, find_pipeline
 from inpaint3d.orchestrator.request import ConfiguredRequest
 
 emit_app = typer.Typer(no_args_is_help=True, help="Manifests for a cluster, and what is wrong with some.")
@@ -68,7 +68,7 @@ def argo(
     images: Images = IMAGES,
 ) -> None:
     """Write a WorkflowTemplate and Workflows for Argo to standard output, for `submit`; captures go to the store."""
-    where, configured = _cluster(cluster), ConfiguredRequest(request)
+    where, configured = _cluster(cluster), ConfiguredRequest(request, Selection())
     store = open_store(where.spec.store)
     scenes = [(path, name_run(path, given)) for path, given in list_scenes(capture, scene, None)]
     submission = Submission(

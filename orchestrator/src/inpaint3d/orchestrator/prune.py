@@ -5,6 +5,7 @@ first of these ports that has something wired and given. A port that such a list
 that names it does so under its current value; ports that none names are always read.
 """
 
+import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
@@ -65,12 +66,12 @@ class PrunedPipeline:
         readers = [n for n in self.whole.order if _find_ports(self.whole, n, reference)]
         if any(_find_ports(self.pipeline, n, reference) for n in self.pipeline.order):
             return None
-        for node in readers:
-            if node not in self.pipeline.nodes:
-                return f"{node}, which reads it, is left out ({self.left_out[node]}); {self.remedy(node)}"
         for unread in self.unread:
             if unread.port in _find_ports(self.whole, unread.node, reference):
                 return f"{unread}" + (f"; {unread.remedy} does" if unread.remedy else "")
+        for node in readers:
+            if node not in self.pipeline.nodes:
+                return f"{node}, which reads it, is left out ({self.left_out[node]}); {self.remedy(node)}"
         return f"no node of {self.whole.path} reads {reference}"
 
     def _reason(self, node: str) -> str:
@@ -161,8 +162,9 @@ def find_unread_ports(pipeline: Pipeline, node: str, parameters: Parameters, giv
 
 
 def _spell(value: Any) -> str:
-    """A parameter's value as `x-reads` has it: a group's kind."""
-    return str(cast(Parameters, value)[VARIANT] if isinstance(value, dict) else value)
+    """A parameter's value as a key of `x-reads`: text as it is, a group's kind, anything else as JSON."""
+    told = cast(Parameters, value)[VARIANT] if isinstance(value, dict) else value
+    return told if isinstance(told, str) else json.dumps(told)
 
 
 def _choose_first(ports: list[str], wired: Collection[str]) -> str:

@@ -21,7 +21,7 @@ from inpaint3d.orchestrator.intake import (
 )
 from inpaint3d.orchestrator.options import Request
 from inpaint3d.orchestrator.parameters import parse_overrides
-from inpaint3d.orchestrator.plan import Planner, find_pipeline
+from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline
 
 OPTIONS = {MASK_REQUEST: "--mask", PRIOR: "--prior", DIFFUSERS: "--prior", CORPUS: "--corpus"}
 
@@ -29,21 +29,19 @@ OPTIONS = {MASK_REQUEST: "--mask", PRIOR: "--prior", DIFFUSERS: "--prior", CORPU
 class ConfiguredRequest:
     """A request with its pipeline configured."""
 
-    def __init__(self, request: Request, named: tuple[str, ...] = ()) -> None:
-        """named: nodes that a selection names.
-
-        Raises ConfigurationError for what cannot be, and for what would change nothing.
-        """
+    def __init__(self, request: Request, selection: Selection) -> None:
+        """Raises ConfigurationError for what cannot be, and for what would change nothing."""
         self.request, self.whole = request, Pipeline(find_pipeline(request.pipeline))
         preset = request.preset or self.whole.spec.spec.defaultPreset
         self.overrides = parse_overrides(self.whole.under(preset), request.assignments or [])
         self.paths = locate_externals(mask=request.mask, prior=request.prior, corpus=request.corpus)
         self.pipeline = configure(
             self.whole,
-            Settings(preset, self.overrides, request.compare, request.seed, named),
+            Settings(preset, self.overrides, request.compare, request.seed, selection.named),
             list_externals(self.whole, self.paths),
             {external: f"{OPTIONS[external]} {path}" for external, path in self.paths.items()},
         )
+        selection.nodes(self.pipeline.pipeline)
 
     def take_externals(self, store: Store, capture: Path) -> dict[str, Digest]:
         """What a scene's nodes read from outside, taken into the store."""
