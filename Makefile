@@ -46,9 +46,9 @@ schemas: .venv/.installed ## write schemas/ from the models, and golden instance
 	.venv/bin/python -m inpaint3d.contracts.schemas
 	.venv/bin/python -m tests.contracts.make_golden
 
-format: .venv/.installed ## format and fix what can be fixed
+format: .venv/.installed ## fix what can be fixed, and format
+	.venv/bin/ruff check --fix --quiet . || true
 	.venv/bin/ruff format .
-	.venv/bin/ruff check --fix .
 
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
 	.venv/bin/python containers/build.py $(BUILD)
