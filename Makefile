@@ -35,20 +35,21 @@ test: .venv/.installed ## all tests: fast ones first, the real small pipeline la
 test-kubernetes: .venv/.installed ## every image as a Job of a real cluster [INPAINT3D_CLUSTER, INPAINT3D_IMAGES, AWS_*]
 	.venv/bin/python -m pytest -q -s -rs -m kubernetes tests/kubernetes
 
-check: .venv/.installed ## formatting, lint, types, import contracts, schema drift
+check: .venv/.installed ## formatting, lint, types, import contracts, schema drift, the last commit's subject
 	.venv/bin/ruff format --check .
 	.venv/bin/ruff check .
 	.venv/bin/basedpyright
 	.venv/bin/lint-imports
 	.venv/bin/python -m inpaint3d.contracts.schemas --check
+	.ci/check_subjects
 
 schemas: .venv/.installed ## write schemas/ from the models, and golden instances of versions that have none
 	.venv/bin/python -m inpaint3d.contracts.schemas
 	.venv/bin/python -m tests.contracts.make_golden
 
-format: .venv/.installed ## format and fix what can be fixed
+format: .venv/.installed ## fix what can be fixed, and format
+	.venv/bin/ruff check --fix --quiet . || true
 	.venv/bin/ruff format .
-	.venv/bin/ruff check --fix .
 
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
 	.venv/bin/python containers/build.py $(BUILD)

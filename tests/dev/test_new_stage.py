@@ -1,5 +1,7 @@
-"""`inpaint3d dev new-stage` in a copy of what a checkout has of the stages: what it writes passes the contract suite."""
+"""`inpaint3d dev new-stage` in a copy of a checkout's declarations: what it writes passes the contract suite."""
 
+import ast
+import json
 import os
 import shutil
 import subprocess
@@ -29,8 +31,18 @@ def checkout(tmp_path_factory):
     return folder
 
 
+def install(checkout):
+    """Say that the new package is installed from its source, as `make install` would; the folder that says it."""
+    said = checkout / "installed" / "inpaint3d_relighting-0.1.0.dist-info"
+    said.mkdir(parents=True, exist_ok=True)
+    (said / "METADATA").write_text("Name: inpaint3d-relighting\nVersion: 0.1.0\nRequires-Dist: inpaint3d-contracts\n")
+    url = (checkout / "stages" / "relighting").as_uri()
+    (said / "direct_url.json").write_text(json.dumps({"url": url, "dir_info": {"editable": True}}))
+    return said.parent
+
+
 def run(checkout, *line):
-    sources = [checkout / "lib" / "contracts" / "src", checkout / "stages" / "relighting" / "src"]
+    sources = [checkout / "lib" / "contracts" / "src", checkout / "stages" / "relighting" / "src", install(checkout)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources))}
     return subprocess.run(
         [sys.executable, *line], capture_output=True, text=True, check=False, env=environment, cwd=checkout
@@ -54,12 +66,14 @@ def test_the_new_files_are_as_the_linter_wants_them(checkout):
 
 def test_the_pipeline_differs_by_the_new_node_alone(checkout):
     before, after = ((folder / "pipeline.yaml").read_text() for folder in (REPOSITORY, checkout))
-    added = [line for line in after.splitlines() if line not in before.splitlines()]
-    assert added == ["    - name: relighting", "      stage: stages/relighting",
-                     "        radiance-field: nerf-pretraining.radiance-field"]  # fmt: skip
     documents = [yaml.safe_load(text) for text in (before, after)]
-    assert documents[1]["spec"]["stages"].pop()["name"] == "relighting"
+    assert documents[1]["spec"]["stages"].pop() == {
+        "name": "relighting",
+        "stage": "stages/relighting",
+        "inputs": {"radiance-field": "nerf-pretraining.radiance-field"},
+    }
     assert documents[0] == documents[1]
+    assert set(before.splitlines()) <= set(after.splitlines()), "comments too stay as they are"
 
 
 def test_a_node_is_added_wherever_the_stages_end(tmp_path):
@@ -74,18 +88,30 @@ def test_a_node_is_added_wherever_the_stages_end(tmp_path):
 def test_a_schema_is_named_three_times(tmp_path):
     registry = tmp_path / "inpaint3d" / "contracts" / "artifacts" / "__init__.py"
     registry.parent.mkdir(parents=True)
-    registry.write_text(
-        "from inpaint3d.contracts.models.artifacts.a import (\n    A,\n)\nfrom inpaint3d.contracts.models.base import Closed\n\n"
-        'SCHEMAS: dict[str, tuple[str, type[Closed]]] = {\n    "a": ("1.0", A),\n}\n\n__all__ = [\n    "A",\n]\n'
-    )
+    before = """from inpaint3d.contracts.models.artifacts.a import (
+    A,
+)
+from inpaint3d.contracts.models.base import Closed
+
+SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
+    "a": ("1.0", A),
+}
+
+__all__ = [
+    "A",
+]
+"""
+    registry.write_text(before)
     register_schema(registry, "relit_views", "RelitViews", "relit-views")
-    assert registry.read_text() == (
-        "from inpaint3d.contracts.models.artifacts.a import (\n    A,\n)\n"
-        "from inpaint3d.contracts.models.artifacts.relit_views import RelitViews\n"
-        "from inpaint3d.contracts.models.base import Closed\n\n"
-        'SCHEMAS: dict[str, tuple[str, type[Closed]]] = {\n    "a": ("1.0", A),\n    "relit-views": ("1.0", RelitViews),\n}\n\n'
-        '__all__ = [\n    "A",\n    "RelitViews",\n]\n'
-    )
+    added = [line for line in registry.read_text().splitlines() if line not in before.splitlines()]
+    assert added == [
+        "from inpaint3d.contracts.models.artifacts.relit_views import RelitViews",
+        '    "relit-views": ("1.0", RelitViews),',
+        '    "RelitViews",',
+    ]
+    without = "".join(line for line in registry.read_text().splitlines(keepends=True) if line.rstrip("\n") not in added)
+    assert without == before
+    assert ast.parse(registry.read_text()).body[1].module == "inpaint3d.contracts.models.artifacts.relit_views"
 
 
 @pytest.mark.parametrize(
