@@ -65,7 +65,8 @@ def test_a_points_file_without_an_array_or_of_another_kind_is_refused(tmp_path):
 
 
 def test_tracks_say_which_points_a_frame_sees():
-    index, xy = SCENE.points.seen_in(2)
+    rows = SCENE.points.track_frame == 2
+    index, xy = SCENE.points.track_point[rows], SCENE.points.track_xy[rows]
     projected, z = SCENE.cameras[2].project(SCENE.points.xyz[index])
     np.testing.assert_allclose(projected, xy, atol=1e-3)  # float32 points and pixels
     assert (z > 0).all()

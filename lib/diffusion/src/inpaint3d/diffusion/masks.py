@@ -12,9 +12,6 @@ Kind = Callable[[int, np.random.Generator], np.ndarray]
 STANDARD_MIX: Mapping[str, float] = {"rectangles": 0.3, "strokes": 0.25, "blobs": 0.45}
 """Shares of the kinds. Projected spheres and objects, the commonest request, are blobs."""
 
-PAPER_MIX: Mapping[str, float] = {"rectangles": 0.5, "strokes": 0.5}
-"""The paper's two kinds: small rectangles, strokes over most of the picture."""
-
 
 def random_masks(
     count: int, size: int, rng: np.random.Generator, mix: Mapping[str, float] = STANDARD_MIX
