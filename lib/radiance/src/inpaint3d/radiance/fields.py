@@ -52,7 +52,7 @@ class RadianceField(nn.Module):
         if spec.sampler == "proposal":
             self.proposal = HashNetwork(spec.proposal_grid, "proposal", weights)
         else:
-            self.density_grid = DensityGrid(spec.density_cells, spec.density_bins)
+            self.density_grid = DensityGrid(spec, self.spacing)
         self.base = HashNetwork(spec.grid, "base", weights)
         self.specular = nn.ParameterList([w for name, w in weights.items() if name.startswith("specular.")])
         if spec.glo:

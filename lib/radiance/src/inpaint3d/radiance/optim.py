@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from inpaint3d.radiance.backends.reference import AdamStep
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.fitting import LossWeights, Optimizer
 from inpaint3d.radiance.memory import roomy
@@ -115,6 +116,7 @@ class Adam:
         lost = 0
         for part, decay in levels:
             of = (param[part], grad[part], m[part], v[part])
-            lost += self._field.backend.adam_step(*of, self.steps, rate, *self._betas, self._eps, decay, sparse)
+            how = AdamStep(self.steps, rate, *self._betas, self._eps, decay, sparse)
+            lost += self._field.backend.adam_step(*of, how)
         if lost:
             self.lost[param] = lost

@@ -91,7 +91,7 @@ def _propose(
     r, device = len(rays.origins), rays.origins.device
     proposals: list[tuple[Tensor, Tensor]] = []
     if field.density_grid is not None:
-        sdist, weights = field.density_grid.histogram(field, rays.origins, rays.directions)
+        sdist, weights = field.density_grid.histogram(field.backend, rays.origins, rays.directions)
         rounds = ()
     else:
         sdist = torch.tensor([0.0, 1.0], device=device).expand(r, 2)

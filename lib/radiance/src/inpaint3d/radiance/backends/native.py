@@ -16,6 +16,7 @@ from torch import Tensor
 from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
+from inpaint3d.radiance.backends.reference import AdamStep
 from inpaint3d.radiance.memory import GradientMemory
 
 __all__ = [
@@ -341,13 +342,7 @@ def adam_step(
     grad: Float[Tensor, "*shape"],
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
-    step: int,
-    lr: float,
-    beta1: float,
-    beta2: float,
-    eps: float,
-    decay: float = 0.0,
-    sparse: bool = False,
+    how: AdamStep,
 ) -> int:
     """`reference.adam_step` in one pass; denormal moments become zero.
 
@@ -355,18 +350,12 @@ def adam_step(
     """
     in_place = (param, m, v)
     if not supported(grad, *in_place) or not all(tensor.is_contiguous() for tensor in in_place):
-        return reference.adam_step(param, grad, m, v, step, lr, beta1, beta2, eps, decay, sparse)
+        return reference.adam_step(param, grad, m, v, how)
     return kernels.adam(
         param.detach().view(-1).numpy(),
         grad.detach().contiguous().view(-1).numpy(),
         m.view(-1).numpy(),
         v.view(-1).numpy(),
-        step=step,
-        lr=lr,
-        beta1=beta1,
-        beta2=beta2,
-        eps=eps,
-        decay=decay,
-        sparse=sparse,
+        **how._asdict(),
         threads=torch.get_num_threads(),
     )
