@@ -4,7 +4,7 @@ All functions return gradients with respect to the patch x in [-1, 1]; a caller 
 to autograd: `patch.backward(gradient)`. Nothing flows through the denoiser or through its condition, on purpose.
 
 A prior over an autoencoder's codes is asked about the patch's code; what it answers goes back to pixels through the
-transposed Jacobian of the encoder (`_encoded`), or as a picture through the decoder. eps: N(0, 1) of the code's shape.
+transposed Jacobian of the encoder (`_encode`), or as a picture through the decoder. eps: N(0, 1) of the code's shape.
 
 | function | paper | UNet evaluations, g = 1 | else |
 |---|---|---|---|
@@ -50,7 +50,7 @@ def sds_gradient(
 
     The condition y is the rendered patch itself outside the hole, (1 - M) x.
     """
-    code, to_pixels = _encoded(prior, x, mask)
+    code, to_pixels = _encode(prior, x, mask)
     a, s = _levels(t)
     z = a * code + s * eps
     # The denoiser's Jacobian is dropped on purpose: that is SDS.
@@ -76,11 +76,11 @@ def nfsd_gradient(
     pixels smoothed, so that what it leads away from is blur.
     """
     x = x.detach()
-    code, to_pixels = _encoded(prior, x, mask)
+    code, to_pixels = _encode(prior, x, mask)
     a, s = _levels(t)
     z = a * code + s * eps
     estimate = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
-    negative = prior.predict_noise(z, t, _smoothed(x, mask), mask, noise_fill=noise_fill)
+    negative = prior.predict_noise(z, t, _smooth(x, mask), mask, noise_fill=noise_fill)
     return to_pixels(s**2 * torch.where(per_image(t) < NFSD_SPLIT, estimate, estimate - negative))
 
 
@@ -101,7 +101,7 @@ def sdi_gradient(
     that x is on the way to. The inversion follows the plain conditional estimate.
     """
     x = x.detach()
-    code, to_pixels = _encoded(prior, x, mask)
+    code, to_pixels = _encode(prior, x, mask)
     a, s = _levels(t)
 
     def predict(z: Tensor, level: Tensor) -> Tensor:
@@ -129,7 +129,7 @@ def ism_gradient(
     z_s and z_t lie on one path of DDIM inversion under the null condition, in `steps` steps to s and one to t.
     """
     x = x.detach()
-    code, to_pixels = _encoded(prior, x, mask)
+    code, to_pixels = _encode(prior, x, mask)
     _, weight = _levels(t)
     before = (t - interval).clamp(min=T_FLOOR)
 
@@ -162,7 +162,7 @@ def vsd_gradient(
     this is SDS; as long as it is the prior itself, guidance 1 gives 0.
     """
     x = x.detach()
-    code, to_pixels = _encoded(prior, x, mask)
+    code, to_pixels = _encode(prior, x, mask)
     a, s = _levels(t)
     z = a * code + s * eps
     eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=noise_fill)
@@ -225,7 +225,7 @@ def denoised_target(
     return torch.where(mask > 0, prior.decode(clean).clamp(-1, 1), x)
 
 
-def _encoded(prior: Denoiser, x: Image, mask: Mask) -> tuple[Latent, Callable[[Latent], Image]]:
+def _encode(prior: Denoiser, x: Image, mask: Mask) -> tuple[Latent, Callable[[Latent], Image]]:
     """The patch's code, and what turns a gradient with respect to it into that of the hole's pixels.
 
     The gradient is weighed as of a mean over codes, not over pixels: where an encoder averages, its pixels are pushed
@@ -253,7 +253,7 @@ def _between(first: Times, last: Times, steps: int) -> Float[Tensor, "n b"]:
     return first + share * (last - first)
 
 
-def _smoothed(x: Image, mask: Mask, side: int = 5) -> Image:
+def _smooth(x: Image, mask: Mask, side: int = 5) -> Image:
     """Means over squares of `side` pixels, of known pixels alone; 0 where there are none."""
     known = 1 - mask
     total, count = (F.avg_pool2d(part, side, 1, side // 2) for part in (x * known, known))

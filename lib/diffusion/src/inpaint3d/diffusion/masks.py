@@ -24,10 +24,10 @@ def random_masks(
     if unknown or abs(sum(mix.values()) - 1) > 1e-6:
         raise ValueError(f"mask mix {dict(mix)}: kinds are {sorted(_KINDS)} and their shares sum to 1")
     kinds = rng.choice(list(mix), size=count, p=list(mix.values()))
-    return np.stack([_usable(_KINDS[kind], size, rng) for kind in kinds])
+    return np.stack([_draw_usable(_KINDS[kind], size, rng) for kind in kinds])
 
 
-def _usable(kind: Kind, size: int, rng: np.random.Generator) -> HoleMask:
+def _draw_usable(kind: Kind, size: int, rng: np.random.Generator) -> HoleMask:
     while True:
         mask = kind(size, rng) > 0
         # A prior learns nothing from a hole of a few pixels, nor from a picture without surroundings.

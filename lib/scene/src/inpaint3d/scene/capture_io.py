@@ -180,12 +180,12 @@ def write_view(
     )
 
 
-def captured_image(artifact: CaptureFolder, frame: CapturedFrame) -> Image:
+def read_captured_image(artifact: CaptureFolder, frame: CapturedFrame) -> Image:
     """A captured frame's picture, sRGB-encoded float32 [h, w, 3]."""
     return read_image(artifact.root / frame.path)
 
 
-def captured_mask(artifact: CaptureFolder, frame: CapturedFrame) -> Mask | None:
+def read_captured_mask(artifact: CaptureFolder, frame: CapturedFrame) -> Mask | None:
     """The mask that came with a captured frame, bool [h, w]; None if none came."""
     if frame.mask is None:
         return None

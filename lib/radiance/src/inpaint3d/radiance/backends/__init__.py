@@ -76,7 +76,7 @@ def _load(backend: Name | None, device_type: str) -> Backend:
             module: Any = importlib.import_module(f"{__name__}.{backend}")
         except ImportError:
             return cast(Backend, reference)
-        return cast(Backend, module if backend == "native" or module.works(device_type) else reference)
+        return cast(Backend, module if backend == "native" or module.can_compile(device_type) else reference)
     return cast(Backend, importlib.import_module(f"{__name__}.{backend}"))
 
 

@@ -91,14 +91,14 @@ def colours(
     run of n / m points.
     """
 
-    def shown(logits: Tensor) -> Tensor:
+    def to_colour(logits: Tensor) -> Tensor:
         if exposure is not None:
             runs = logits.reshape(len(exposure), len(logits) // max(len(exposure), 1), 3)
             logits = torch.addcmul(exposure[:, None, 3:], runs, torch.exp(exposure[:, None, :3])).flatten(0, 1)
         return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
 
     both = diffuse if specular is None else torch.add(diffuse, specular, alpha=specular_scale)
-    return shown(both), shown(diffuse)
+    return to_colour(both), to_colour(diffuse)
 
 
 @torch.no_grad()

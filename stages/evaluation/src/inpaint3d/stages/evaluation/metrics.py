@@ -17,7 +17,7 @@ def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
     Equal pictures would give infinity, which no table holds: the value stops at 100 dB (a mean square of
     1e-10). Raises ValueError where the region is empty or the shapes differ.
     """
-    squared = np.square(_checked(image, truth).astype(np.float64) - truth)
+    squared = np.square(_check(image, truth).astype(np.float64) - truth)
     if region is not None:
         squared = squared[region]
     if squared.size == 0:
@@ -33,7 +33,7 @@ def ssim_map(image: Image, truth: Image) -> NDArray[np.float64]:
     """
     from skimage.metrics import structural_similarity
 
-    x, y = _checked(image, truth).astype(np.float64), truth.astype(np.float64)
+    x, y = _check(image, truth).astype(np.float64), truth.astype(np.float64)
     # scikit-image refuses a picture smaller than its window: it is given what it would have mirrored beyond the border.
     rows, columns = ((SSIM_RADIUS if side < WINDOW else 0,) * 2 for side in truth.shape[:2])
     x, y = (np.pad(picture, (rows, columns, (0, 0)), mode="symmetric") for picture in (x, y))
@@ -59,7 +59,7 @@ def ssim(image: Image, truth: Image, region: Mask | None = None) -> float:
     return float(inner.mean() if inner.size else values.mean())
 
 
-def _checked(image: Image, truth: Image) -> Image:
+def _check(image: Image, truth: Image) -> Image:
     if image.shape != truth.shape or image.ndim != 3:
         raise ValueError(f"pictures to compare are {image.shape} and {truth.shape}; both must be the same [h, w, 3]")
     return image

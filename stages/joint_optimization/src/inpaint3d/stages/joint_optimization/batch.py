@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.radiance.rays import CameraStack, Rays, joined
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
+from inpaint3d.radiance.rays import CameraStack, Rays, join_rays
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.stages.joint_optimization.scene import SceneView
 
@@ -40,7 +40,7 @@ class Filled:
     """What was made up: the views again without their holes, and the surfaces in the holes as the views see them."""
 
     views: Sequence[SceneView]
-    surfaces: Sightings
+    surfaces: SightLines
 
 
 class RayBank:
@@ -57,7 +57,7 @@ class RayBank:
         *,
         filled: Filled | None = None,
         filled_share: float = 0.0,
-        sightings: Sightings | None = None,
+        sightings: SightLines | None = None,
     ) -> None:
         self._sightings = [s for s in (sightings, filled.surfaces if filled else None) if s]
         cameras = [v.camera for v in views]
@@ -92,7 +92,7 @@ class RayBank:
         distance = torch.cat([target.new_empty(0), *(sightings.distance for sightings in toward)])
         if patches:
             parts.append(self._patches(patches, patch_size, generator))
-        return Batch(joined(parts), target, distance, (patches, patch_size, patch_size))
+        return Batch(join_rays(parts), target, distance, (patches, patch_size, patch_size))
 
     def _patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
         view = torch.randint(len(self._sizes), (count,), generator=generator)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.samplers import inpaint
-from inpaint3d.perception.lpips import enlarged, load
+from inpaint3d.perception.lpips import enlarge, load
 from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless, Windows
 from inpaint3d.stages.joint_optimization.patches import Window, draw_window
 from inpaint3d.stages.joint_optimization.scene import SceneView
@@ -126,6 +126,6 @@ def _likeness_gradient(patch: Patch, hole: Hole, picture: Patch) -> Patch:
     """d(LPIPS to the picture)/d(patch), the patch's known part being the picture's own."""
     rendered = patch.detach().requires_grad_()
     pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
-    made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
+    made, wanted = enlarge(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
     (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
     return gradient

@@ -16,7 +16,7 @@ from inpaint3d.radiance import backends
 from inpaint3d.radiance.artifact import write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field, save_field
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.scene.image_io import read_exr
 from inpaint3d.stages.joint_optimization.appearance import Recolour
@@ -161,7 +161,7 @@ def complete(
     alike = tuple(replace(one.view, image=one.picture) for one in made)
     own = tuple(replace(one.view, image=recolour.from_mean(one.picture, i)) for i, one in enumerate(made))
     surfaces = [(one.coarse.camera, one.coarse.depth, one.coarse.hole) for one in made]
-    return alike, Filled(own, Sightings.of_surfaces(surfaces, device)), words
+    return alike, Filled(own, SightLines.of_surfaces(surfaces, device)), words
 
 
 def shrink_holes(views: Views, initial: Artifact[RadianceFieldArtifact], witnesses: int) -> tuple[Views, str]:

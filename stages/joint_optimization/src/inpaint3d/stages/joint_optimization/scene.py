@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.artifacts import MaskSet, PosedCapture
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed
 from inpaint3d.scene.image_io import read_mask
@@ -52,14 +52,14 @@ class Scene:
         """[p, 3] in scene units."""
         return self.sparse.xyz
 
-    def sightings(self, device: str) -> Sightings | None:
+    def sightings(self, device: str) -> SightLines | None:
         """The sparse points as the views to fit saw them; None where they saw none."""
         cameras = {v.name: v.camera for v in (*self.train, *self.test)}
         fitted = np.isin(self.order, [v.name for v in self.train])
         among = fitted[self.sparse.track_frame]
         if not among.any():
             return None
-        return Sightings.of([cameras[name] for name in self.order], self.sparse, among, device)
+        return SightLines.of([cameras[name] for name in self.order], self.sparse, among, device)
 
 
 def load_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> Scene:
