@@ -85,7 +85,7 @@ def cost_of_stopping_early(curve: Curve) -> tuple[str, list[float | None], float
 @dataclass(frozen=True)
 class _Cell:
     text: str
-    find_best: bool
+    best: bool
 
 
 def _table(protocol: Protocol) -> dict[str, object]:
