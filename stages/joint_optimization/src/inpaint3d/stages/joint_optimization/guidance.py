@@ -13,6 +13,7 @@ from torch import Tensor
 
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.distillation import (
+    PriorQuery,
     dataset_gradient,
     denoised_target,
     denoised_target_gradient,
@@ -137,23 +138,23 @@ class PriorGuide:
         return asked.answered(self._estimate(asked, timesteps, generator))
 
     def _estimate(self, asked: Asked, timesteps: tuple[float, float], generator: torch.Generator) -> Tensor:
-        x, mask, t, eps, fill = asked
+        x, mask, *_ = asked
         prior, g, steps = self.prior, self.guidance, self.steps
         match self.estimator:
             case "sds":
-                return sds_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill)
+                return sds_gradient(prior, PriorQuery(*asked), guidance=g)
             case "nfsd":
-                return nfsd_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill)
+                return nfsd_gradient(prior, PriorQuery(*asked), guidance=g)
             case "sdi":
-                return sdi_gradient(prior, x, mask, t, guidance=g, noise_fill=fill, steps=steps)
+                return sdi_gradient(prior, PriorQuery(*asked), guidance=g, steps=steps)
             case "ism":
-                return ism_gradient(prior, x, mask, t, guidance=g, noise_fill=fill, steps=steps)
+                return ism_gradient(prior, PriorQuery(*asked), guidance=g, steps=steps)
             case "denoised-target":
-                return denoised_target_gradient(prior, x, mask, t, eps, guidance=g, noise_fill=fill, steps=steps)
+                return denoised_target_gradient(prior, PriorQuery(*asked), guidance=g, steps=steps)
             case "vsd":
                 if self.copy is None:
                     raise ValueError("vsd needs a copy of the prior to learn the renders")
-                gradient = vsd_gradient(prior, self.copy.network, x, mask, t, eps, guidance=g, noise_fill=fill)
+                gradient = vsd_gradient(prior, self.copy.network, PriorQuery(*asked), guidance=g)
                 self.copy.learn(x, mask, generator, timesteps)
                 return gradient
 
@@ -183,11 +184,9 @@ class DatasetGuide:
         self, patch: Patch, hole: Hole, window: Window, timesteps: tuple[float, float], generator: torch.Generator
     ) -> tuple[Patch, float]:
         asked = Asked.about(patch, hole, timesteps, generator, self.prior.latent_shape)
-        x, mask, t, eps, fill = asked
+        x, mask, *_ = asked
         if self._seen[window.view] % self._every == 0:
-            made = denoised_target(
-                self.prior, x, mask, t, eps, guidance=self._guidance, noise_fill=fill, steps=self._steps
-            )
+            made = denoised_target(self.prior, PriorQuery(*asked), guidance=self._guidance, steps=self._steps)
             self._targets[window.view] = made[0].cpu()
         self._seen[window.view] += 1
         return asked.answered(dataset_gradient(x, mask, self._targets[window.view][None].to(x)))
