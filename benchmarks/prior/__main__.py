@@ -74,7 +74,7 @@ def main() -> None:
             rng = np.random.default_rng(seed)
             cv2.setRNGSeed(seed)  # shift maps are found by chance
             hole = torch.from_numpy(np.stack([draw(prior.spec.size, rng) for _ in truth])).float()[:, None]
-            filled = {name: fill(truth, hole) for name, fill in fills(prior, options.steps).items()}
+            filled = {name: fill(truth, hole) for name, fill in choose_fills(prior, options.steps).items()}
             for name, pictures in filled.items():
                 found.setdefault(name, []).append(judge.figures(pictures, hole))
             if seed == SEED:
@@ -94,7 +94,7 @@ def main() -> None:
         "sampler": f"ddim, {options.steps} steps",
         "lpips_network": "vgg",
         "masks": masks,
-        "ours_is_best_at": {kind: best_at(rows) for kind, rows in masks.items()},
+        "ours_is_best_at": {kind: find_best(rows) for kind, rows in masks.items()},
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(report, indent=1) + "\n")
@@ -169,7 +169,7 @@ HOLES: Mapping[str, Callable[[int, np.random.Generator], np.ndarray]] = {
 }
 
 
-def fills(prior: InpaintingPrior, steps: int) -> dict[str, Fill]:
+def choose_fills(prior: InpaintingPrior, steps: int) -> dict[str, Fill]:
     def ours(image: Tensor, hole: Tensor) -> Tensor:
         generator = torch.Generator().manual_seed(SEED)
         parts = zip(image.split(BATCH), hole.split(BATCH), strict=True)
@@ -238,7 +238,7 @@ def unit(pictures: Tensor) -> list[np.ndarray]:
     return list(((pictures + 1) / 2).permute(0, 2, 3, 1).numpy())
 
 
-def best_at(rows: dict[str, dict[str, float]]) -> list[str]:
+def find_best(rows: dict[str, dict[str, float]]) -> list[str]:
     """The figures at which no other fill is as good as ours."""
     others = [row for name, row in rows.items() if name != "ours"]
     lower = [name for name in ("lpips", "kid_lite0") if all(rows["ours"][name] < row[name] for row in others)]

@@ -24,7 +24,7 @@ from benchmarks.provenance import REPOSITORY, commit
 
 from inpaint3d.contracts.models.artifacts import ImageCorpus, PriorSpec
 from inpaint3d.contracts.store import load_artifact
-from inpaint3d.diffusion.judging import fills
+from inpaint3d.diffusion.judging import fill_each_way
 from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
 from inpaint3d.diffusion.training import Batch, begin, denoising_loss, step_generators, train_step
 from inpaint3d.orchestrator.history import this_machine
@@ -64,15 +64,15 @@ def main() -> None:
     config = Config(masks=MaskMix(rectangles=0.3, strokes=0.3, blobs=0.4, own=0.0), crop_share=(0.25, 1.0), exam=96)
     # Cut once, at the largest size, and reduced for those that are smaller.
     exam = lesson_of(config, SMALL.model_copy(update={"size": EXAM_AT}), training, held_out).exam
-    judge = Judge(_resized(exam.image, JUDGED_AT))
+    judge = Judge(_resize(exam.image, JUDGED_AT))
 
     done: dict[str, Any] = json.loads(options.out.read_text())["variants"] if options.out.exists() else {}
     for name in options.variants:
         spec = PriorSpec.model_validate({**SMALL.model_dump(), **VARIANTS[name]})
-        prior, steps = learnt(spec, lesson_of(config, spec, training, held_out), options.minutes * 60)
+        prior, steps = train_variant(spec, lesson_of(config, spec, training, held_out), options.minutes * 60)
         done[name] = {
             "changes": VARIANTS[name], **commit(), "cpu_minutes": options.minutes, "steps": steps,
-            "parameters": sum(p.numel() for p in prior.parameters()), **judged(prior, exam, judge),
+            "parameters": sum(p.numel() for p in prior.parameters()), **judge_variant(prior, exam, judge),
         }  # fmt: skip
         report = {"machine": this_machine().model_dump(), "variants": done}
         options.out.write_text(json.dumps(report, indent=1) + "\n")
@@ -80,7 +80,7 @@ def main() -> None:
     options.out.with_suffix(".md").write_text(table(done))
 
 
-def learnt(spec: PriorSpec, lesson: Lesson, cpu_seconds: float) -> tuple[InpaintingPrior, int]:
+def train_variant(spec: PriorSpec, lesson: Lesson, cpu_seconds: float) -> tuple[InpaintingPrior, int]:
     """The average of the weights after as many CPU seconds, and the steps they were enough for."""
     state, start = begin(spec, seed=0, bf16=bf16_pays()), time.process_time()
     while (left := 1 - (time.process_time() - start) / cpu_seconds) > 0:
@@ -97,16 +97,16 @@ def learnt(spec: PriorSpec, lesson: Lesson, cpu_seconds: float) -> tuple[Inpaint
     return state.average, state.step
 
 
-def judged(prior: InpaintingPrior, exam: Batch, judge: Judge) -> dict[str, Any]:
+def judge_variant(prior: InpaintingPrior, exam: Batch, judge: Judge) -> dict[str, Any]:
     """Figures of its samples and expectation, and of the classical fills at the same size."""
     size = prior.spec.size
-    shown = replace(exam, image=_resized(exam.image, size), hole=(_resized(exam.hole, size) > 0).float())
-    filled = fills(prior, shown.image, shown.hole, torch.Generator().manual_seed(0))
-    hole = (_resized(shown.hole, JUDGED_AT) > 0).float()
-    return {name: judge.figures(_resized(pictures, JUDGED_AT), hole) for name, pictures in filled.items()}
+    shown = replace(exam, image=_resize(exam.image, size), hole=(_resize(exam.hole, size) > 0).float())
+    filled = fill_each_way(prior, shown.image, shown.hole, torch.Generator().manual_seed(0))
+    hole = (_resize(shown.hole, JUDGED_AT) > 0).float()
+    return {name: judge.figures(_resize(pictures, JUDGED_AT), hole) for name, pictures in filled.items()}
 
 
-def _resized(pictures: torch.Tensor, size: int) -> torch.Tensor:
+def _resize(pictures: torch.Tensor, size: int) -> torch.Tensor:
     return pictures if pictures.shape[-1] == size else F.interpolate(pictures, size=(size, size), mode="area")
 
 

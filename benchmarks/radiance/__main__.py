@@ -59,11 +59,13 @@ class Bench:
 
     def ours(self, what: str, *words: object) -> Figures:
         module = ["-m", "benchmarks.radiance.ours", str(self.folder), what, "--side", str(self.side)]
-        return spoken([sys.executable, *module, *map(str, words)])
+        return run_and_parse([sys.executable, *module, *map(str, words)])
 
     def peer(self, what: str, *words: object) -> Figures:
         script = REPOSITORY / "benchmarks" / "radiance" / "peer" / "nerfacto.py"
-        return spoken([str(self.options.peer), str(script), str(self.folder / "views.npz"), what, *map(str, words)])
+        return run_and_parse(
+            [str(self.options.peer), str(script), str(self.folder / "views.npz"), what, *map(str, words)]
+        )
 
     def rates(self) -> Figures:
         """Ours before and after the peer's: a machine that slows down meanwhile shows."""
@@ -114,10 +116,10 @@ class Bench:
 
     def kernels(self) -> Figures:
         few = ["--rows", "4096", "--points", "16384", "--repeats", "3"] if self.quick else []
-        return spoken([sys.executable, "-m", "benchmarks.radiance.kernels", *few])
+        return run_and_parse([sys.executable, "-m", "benchmarks.radiance.kernels", *few])
 
 
-def spoken(command: list[str]) -> Figures:
+def run_and_parse(command: list[str]) -> Figures:
     """What a process of one thread printed as JSON on its last line."""
     print(" ".join(Path(word).name if "/" in word else word for word in command), file=sys.stderr, flush=True)
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

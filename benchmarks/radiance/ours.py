@@ -46,7 +46,7 @@ class Fit:
             centre_depth=scene.centre_depth,
             points=scene.points,
         )
-        self.config, self.known, self.cpu_s = config, Known(pixels, scene.sightings), 0.0
+        self.config, self.known, self.cpu_s = config, Known(pixels, scene.sight_lines), 0.0
         self.field = RadianceField(spec, seed, backend)
         self.optimizer = Adam.of(self.field, config.optimizer, config.loss_weights)
         self.generator = torch.Generator().manual_seed(seed)

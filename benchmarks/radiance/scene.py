@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, PosedCapture
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.scene.capture_io import View, load_points, load_posed
 
 # Of the list of photos from 0: 3, 10, 17, ... are held out, whatever the stages chose.
@@ -29,7 +29,7 @@ class Scene:
     plan: EffectPlan
     centre_depth: float
     points: NDArray[np.float32]
-    sightings: Sightings  # by the training views
+    sight_lines: SightLines  # by the training views
 
 
 def run_until(stage: str, capture: Path, repository: Path, folder: Path, *, preset: str = "standard") -> None:
@@ -67,7 +67,7 @@ def load(folder: Path) -> Scene:
         plan=store.open(found["scene-analysis"]["effect-plan"], EffectPlan).metadata,
         centre_depth=posed.metadata.centre_depth,
         points=sparse.xyz,
-        sightings=Sightings.of([frame.camera for frame in frames], sparse, seen_by_training),
+        sight_lines=SightLines.of([frame.camera for frame in frames], sparse, seen_by_training),
     )
 
 

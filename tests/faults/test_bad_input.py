@@ -104,8 +104,8 @@ def test_without_a_mask_the_run_waits_and_says_what_to_write(cli, tmp_path):
     camera = SCENE.cameras[0]
     intrinsics = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": 48, "h": 36}
     (folder / "transforms.json").write_text(json.dumps({**intrinsics, "frames": frames}))
-    tiny = ["nerf-pretraining.steps=2", "nerf-pretraining.view_side=24", "pose-estimation.least_points=1",
-            "pose-estimation.least_angle_deg=0"]  # fmt: skip
+    tiny = ["nerf-pretraining.steps=2", "nerf-pretraining.view_side=24", "pose-estimation.min_points=1",
+            "pose-estimation.min_angle_deg=0"]  # fmt: skip
     result = cli("run", str(folder), *[a for t in tiny for a in ("--set", t)])
     assert result.returncode == 4, result.stderr
     assert "mask-authoring waiting" in result.stderr

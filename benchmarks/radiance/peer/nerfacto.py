@@ -54,7 +54,7 @@ class Peer:
         torch.manual_seed(seed)
         data = np.load(views)
         self.data = {name: torch.from_numpy(np.asarray(data[name])) for name in data.files}
-        self.rays = RayGenerator(placed(self.data))
+        self.rays = RayGenerator(place_cameras(self.data))
         config = NerfactoModelConfig(
             implementation="torch",
             average_init_density=0.01,
@@ -111,7 +111,7 @@ class Peer:
         return float(np.mean([-10 * math.log10(squared[view == v].mean()) for v in view.unique()]))
 
 
-def placed(data: dict[str, torch.Tensor]) -> Cameras:
+def place_cameras(data: dict[str, torch.Tensor]) -> Cameras:
     """The cameras where nerfstudio's own data parser would put them: upright, centred, within the cube."""
     pose = torch.eye(4).repeat(len(data["world_from_cam"]), 1, 1)
     pose[:, :3] = data["world_from_cam"] * torch.tensor([1.0, -1.0, -1.0, 1.0])  # OpenCV's axes to OpenGL's

@@ -5,6 +5,7 @@ import torch
 
 from inpaint3d.diffusion.distillation import (
     T_FLOOR,
+    PriorQuery,
     dataset_gradient,
     denoised_target,
     denoised_target_gradient,
@@ -36,14 +37,14 @@ def test_sds_is_the_closed_form_of_a_gaussian(prior, picture, hole) -> None:
     offset = picture - prior.filled(picture, hole)
     # eps_hat = s (a (x - fill) + s eps) / (a^2 d^2 + s^2), and w = s^2.
     expected = s**2 * (s * a * offset - a**2 * d**2 * eps) / (a**2 * d**2 + s**2) * hole
-    torch.testing.assert_close(sds_gradient(prior, picture, hole, T, eps), expected, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(sds_gradient(prior, PriorQuery(picture, hole, T, eps)), expected, rtol=1e-4, atol=1e-6)
 
 
 def test_descending_sds_moves_the_hole_towards_what_the_prior_believes(prior, picture, hole) -> None:
     belief = prior.filled(picture, hole)
     x = belief + 0.8 * hole
     for i in range(200):
-        x = x - 0.5 * sds_gradient(prior, x, hole, T, _eps(i))
+        x = x - 0.5 * sds_gradient(prior, PriorQuery(x, hole, T, _eps(i)))
     assert ((x - belief) * hole).mean().abs() < 0.05 * hole.mean()
     assert torch.equal(x * (1 - hole), belief * (1 - hole))
 
@@ -54,7 +55,7 @@ def test_the_denoised_target_is_the_gaussians_quantile(prior, picture, hole) -> 
     fill = prior.filled(picture, hole)
     z = a * picture + s * eps
     target = fill + d * (z - a * fill) / (a**2 * d**2 + s**2).sqrt()
-    gradient = denoised_target_gradient(prior, picture, hole, T, eps, steps=200)
+    gradient = denoised_target_gradient(prior, PriorQuery(picture, hole, T, eps), steps=200)
     inside = (hole.expand_as(target) > 0) & (target.abs() < 0.9)
     # DDIM is first order in the number of steps.
     torch.testing.assert_close(gradient[inside], (picture - target)[inside], rtol=0, atol=0.01)
@@ -63,8 +64,8 @@ def test_the_denoised_target_is_the_gaussians_quantile(prior, picture, hole) -> 
 def test_one_step_of_the_denoised_target_is_sds_up_to_its_weight(prior, picture, hole) -> None:
     eps = _eps()
     a, s = per_image(alpha(T)), per_image(sigma(T))
-    sds = sds_gradient(prior, 0.2 * picture, hole, T, 0.1 * eps)
-    target = denoised_target_gradient(prior, 0.2 * picture, hole, T, 0.1 * eps, steps=1)
+    sds = sds_gradient(prior, PriorQuery(0.2 * picture, hole, T, 0.1 * eps))
+    target = denoised_target_gradient(prior, PriorQuery(0.2 * picture, hole, T, 0.1 * eps), steps=1)
     # The target stops at t = 0, where the clamp leaves sigma = 4.5e-5 of noise.
     torch.testing.assert_close(sds, a * s * target, rtol=0, atol=2e-4)
 
@@ -92,15 +93,15 @@ def test_noise_free_distillation_is_the_closed_form_of_gaussians(prior, picture,
     delta = null + 3.0 * (cond - null)
     expected = s**2 * torch.stack([delta[0], (delta - negative)[1]]) * hole
     torch.testing.assert_close(
-        nfsd_gradient(prior, picture, hole, t, eps, guidance=3.0), expected, rtol=1e-3, atol=1e-5
+        nfsd_gradient(prior, PriorQuery(picture, hole, t, eps), guidance=3.0), expected, rtol=1e-3, atol=1e-5
     )
 
 
 def test_above_its_split_noise_free_distillation_does_not_feel_the_noise(prior, picture, hole) -> None:
     """Of a Gaussian both estimates hold the same share of eps, so that the difference is free of it; SDS is not."""
-    one, two = (nfsd_gradient(prior, picture, hole, T, _eps(seed)) for seed in (0, 1))
+    one, two = (nfsd_gradient(prior, PriorQuery(picture, hole, T, _eps(seed))) for seed in (0, 1))
     torch.testing.assert_close(one, two, rtol=1e-3, atol=1e-5)
-    one, two = (sds_gradient(prior, picture, hole, T, _eps(seed)) for seed in (0, 1))
+    one, two = (sds_gradient(prior, PriorQuery(picture, hole, T, _eps(seed))) for seed in (0, 1))
     assert (one - two).abs().max() > 0.1
 
 
@@ -114,9 +115,13 @@ def test_inverted_noise_points_straight_to_what_the_prior_believes(prior, pictur
     z = a * fill + spread / spread0 * (picture - a0 * fill)
     expected = s**2 * (s * (z - a * fill) / spread**2 - (z - a * picture) / s) * hole
     # DDIM is first order in the number of steps.
-    torch.testing.assert_close(sdi_gradient(prior, picture, hole, T, steps=150), expected, rtol=0, atol=0.01)
+    torch.testing.assert_close(
+        sdi_gradient(prior, PriorQuery(picture, hole, T), steps=150), expected, rtol=0, atol=0.01
+    )
     offset = (picture - fill) * hole
-    cosine = torch.cosine_similarity(sdi_gradient(prior, picture, hole, T, steps=20).flatten(), offset.flatten(), dim=0)
+    cosine = torch.cosine_similarity(
+        sdi_gradient(prior, PriorQuery(picture, hole, T), steps=20).flatten(), offset.flatten(), dim=0
+    )
     assert cosine > 0.99
 
 
@@ -131,43 +136,35 @@ def test_interval_matching_is_the_closed_form_of_gaussians(prior, picture, hole)
     z_t = a * (z_s - s_s * eps_s) / a_s + s * eps_s
     null, cond = _noise_of(z_t, T, torch.zeros_like(z_t), d), _noise_of(z_t, T, prior.filled(picture, hole), d)
     expected = s**2 * (null + 2.0 * (cond - null) - eps_s) * hole
-    gradient = ism_gradient(prior, picture, hole, T, guidance=2.0, steps=150, interval=interval)
+    gradient = ism_gradient(prior, PriorQuery(picture, hole, T), guidance=2.0, steps=150, interval=interval)
     torch.testing.assert_close(gradient, expected, rtol=0, atol=0.02)
 
 
 def test_a_dataset_pulls_to_its_picture_until_it_is_updated(prior, picture, hole) -> None:
-    target = denoised_target(prior, picture, hole, T, _eps(), steps=4)
+    target = denoised_target(prior, PriorQuery(picture, hole, T, _eps()), steps=4)
     x = picture
     for _ in range(40):
         x = x - 0.2 * dataset_gradient(x, hole, target)
     torch.testing.assert_close(x, target, rtol=0, atol=1e-3)
     assert torch.equal(
-        denoised_target_gradient(prior, picture, hole, T, _eps()), dataset_gradient(picture, hole, target)
+        denoised_target_gradient(prior, PriorQuery(picture, hole, T, _eps())), dataset_gradient(picture, hole, target)
     )
 
 
-def _inverted(prior, x, mask, t, eps, **options) -> torch.Tensor:
-    return sdi_gradient(prior, x, mask, t, **options)
-
-
-def _interval(prior, x, mask, t, eps, **options) -> torch.Tensor:
-    return ism_gradient(prior, x, mask, t, **options)
-
-
-def _variational(prior, x, mask, t, eps, **options) -> torch.Tensor:
+def _variational(prior, query, **options) -> torch.Tensor:
     copy = LowRankCopy(prior)
-    copy.learn(x, mask, torch.Generator().manual_seed(0), (0.1, 0.9))
-    return vsd_gradient(prior, copy.network, x, mask, t, eps, **options)
+    copy.learn(query.x, query.mask, torch.Generator().manual_seed(0), (0.1, 0.9))
+    return vsd_gradient(prior, copy.network, query, **options)
 
 
 @pytest.mark.parametrize(
-    "gradient_of", [sds_gradient, nfsd_gradient, _inverted, _interval, _variational, denoised_target_gradient]
+    "gradient_of", [sds_gradient, nfsd_gradient, sdi_gradient, ism_gradient, _variational, denoised_target_gradient]
 )
 @pytest.mark.parametrize("guidance", [1.0, 4.0])
 def test_no_gradient_flows_through_prior_or_condition(gradient_of, guidance, prior, picture, hole) -> None:
     theta = picture.clone().requires_grad_()
     x = torch.tanh(theta)
-    gradient = gradient_of(prior, x, hole, T, _eps(), guidance=guidance)
+    gradient = gradient_of(prior, PriorQuery(x, hole, T, _eps()), guidance=guidance)
     assert not gradient.requires_grad
     x.backward(gradient)
     assert theta.grad is not None
@@ -179,12 +176,12 @@ def test_no_gradient_flows_through_prior_or_condition(gradient_of, guidance, pri
 
 def test_the_condition_is_the_rendered_patch_outside_the_hole(prior, picture, hole) -> None:
     known_changed = torch.where(hole > 0, picture, -picture)
-    one, two = (sds_gradient(prior, x, hole, T, _eps()) for x in (picture, known_changed))
+    one, two = (sds_gradient(prior, PriorQuery(x, hole, T, _eps())) for x in (picture, known_changed))
     assert (one - two).abs().max() > 1e-3
 
 
 def test_a_noise_fill_prior_is_shown_its_noise(paper_like, picture, hole) -> None:
     prior = InpaintingPrior(paper_like)
-    gradient = sds_gradient(prior, picture, hole, T, _eps(), noise_fill=_eps(1))
+    gradient = sds_gradient(prior, PriorQuery(picture, hole, T, _eps(), noise_fill=_eps(1)))
     # Untrained, eps_hat is 0: the gradient is -w eps M.
     torch.testing.assert_close(gradient, -(per_image(sigma(T)) ** 2) * _eps() * hole)

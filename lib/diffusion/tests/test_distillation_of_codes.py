@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.distillation import (
+    PriorQuery,
     denoised_target,
     denoised_target_gradient,
     ism_gradient,
@@ -70,11 +71,11 @@ def _eps(prior: Denoiser, seed: int = 0) -> Tensor:
 def _gradients(prior: PipelinePrior, x: Tensor, mask: Tensor, **options: float) -> dict[str, Tensor]:
     eps = _eps(prior)
     return {
-        "sds": sds_gradient(prior, x, mask, T, eps, **options),
-        "nfsd": nfsd_gradient(prior, x, mask, T, eps, **options),
-        "sdi": sdi_gradient(prior, x, mask, T, steps=2, **options),
-        "ism": ism_gradient(prior, x, mask, T, steps=2, **options),
-        "denoised-target": denoised_target_gradient(prior, x, mask, T, eps, steps=1, **options),
+        "sds": sds_gradient(prior, PriorQuery(x, mask, T, eps), **options),
+        "nfsd": nfsd_gradient(prior, PriorQuery(x, mask, T, eps), **options),
+        "sdi": sdi_gradient(prior, PriorQuery(x, mask, T), steps=2, **options),
+        "ism": ism_gradient(prior, PriorQuery(x, mask, T), steps=2, **options),
+        "denoised-target": denoised_target_gradient(prior, PriorQuery(x, mask, T, eps), steps=1, **options),
     }
 
 
@@ -103,7 +104,7 @@ def test_pixels_of_a_block_share_what_pulls_their_code(picture, hole) -> None:
     z = a * 0.5 * F.avg_pool2d(x, 2) + s * eps
     push = s**2 * (prior.predict_noise(z, T, x, mask) - eps)
     expected = 0.5 * F.interpolate(push * F.max_pool2d(mask, 2), scale_factor=2) * mask
-    torch.testing.assert_close(sds_gradient(prior, x, mask, T, eps), expected)
+    torch.testing.assert_close(sds_gradient(prior, PriorQuery(x, mask, T, eps)), expected)
 
 
 class Certain:
@@ -135,7 +136,7 @@ def test_descending_reaches_the_codes_that_the_prior_believes_in(picture) -> Non
     prior = Certain(belief)
     x = torch.where(mask > 0, -belief, belief)
     for i in range(60):
-        x = x - 0.5 / per_image(alpha(T) * sigma(T)) * sds_gradient(prior, x, mask, T, _eps(prior, i))
+        x = x - 0.5 / per_image(alpha(T) * sigma(T)) * sds_gradient(prior, PriorQuery(x, mask, T, _eps(prior, i)))
     # Half of what is left is gone with each step; alpha x + sigma eps - alpha code cancels digits of float32.
     torch.testing.assert_close(prior.encode(x), prior.code, rtol=0, atol=1e-5)
     assert torch.equal(x * (1 - mask), belief * (1 - mask))
@@ -144,7 +145,7 @@ def test_descending_reaches_the_codes_that_the_prior_believes_in(picture) -> Non
 def test_the_denoised_target_is_decoded(picture, hole) -> None:
     prior = over_codes(BlockMeans(2))
     x, mask = F.interpolate(picture, scale_factor=2), F.interpolate(hole, scale_factor=2)
-    target = denoised_target(prior, x, mask, T, _eps(prior), steps=3)
+    target = denoised_target(prior, PriorQuery(x, mask, T, _eps(prior)), steps=3)
     blocks = F.interpolate(F.avg_pool2d(target, 2), scale_factor=2)
     inside = (mask > 0).expand_as(x)
     torch.testing.assert_close(target[inside], blocks[inside])

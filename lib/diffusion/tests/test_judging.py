@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from inpaint3d.diffusion.fill import fill_telea
-from inpaint3d.diffusion.judging import fill_batch_telea, fills, grid, hole_psnr
+from inpaint3d.diffusion.judging import draw_grid, fill_batch_telea, fill_each_way, hole_psnr
 from inpaint3d.diffusion.prior import InpaintingPrior
 
 
@@ -21,9 +21,9 @@ def test_a_batch_is_filled_picture_by_picture(picture, hole) -> None:
 
 def test_an_untrained_residual_prior_expects_the_pyramid(shipped_like, picture, hole) -> None:
     prior = InpaintingPrior(shipped_like)
-    filled = fills(prior, picture, hole, torch.Generator().manual_seed(0), steps=4)
+    filled = fill_each_way(prior, picture, hole, torch.Generator().manual_seed(0), steps=4)
     psnr = {name: hole_psnr(fill, picture, hole).mean().item() for name, fill in filled.items()}
     # At t = 1 the clamp lets 4.5e-5 of the picture through: nothing to see.
     assert psnr["expectation"] == pytest.approx(psnr["pyramid"], abs=0.01)
     assert psnr["sample"] < psnr["expectation"]
-    assert grid(picture, hole, filled["sample"]).shape == (2 * 18, 3 * 18, 3)
+    assert draw_grid(picture, hole, filled["sample"]).shape == (2 * 18, 3 * 18, 3)

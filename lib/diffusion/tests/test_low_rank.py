@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from inpaint3d.diffusion.distillation import sds_gradient, vsd_gradient
+from inpaint3d.diffusion.distillation import PriorQuery, sds_gradient, vsd_gradient
 from inpaint3d.diffusion.low_rank import LowRankCopy
 from inpaint3d.diffusion.prior import InpaintingPrior
 
@@ -24,7 +24,7 @@ def learnt(prior: InpaintingPrior, picture: torch.Tensor, hole: torch.Tensor, st
 def test_a_copy_is_the_prior_until_it_learns(prior, picture, hole) -> None:
     """VSD with guidance 1 has then nothing to say."""
     eps = torch.randn(picture.shape, generator=torch.Generator().manual_seed(1))
-    gradient = vsd_gradient(prior, LowRankCopy(prior).network, picture, hole, T, eps)
+    gradient = vsd_gradient(prior, LowRankCopy(prior).network, PriorQuery(picture, hole, T, eps))
     assert torch.equal(gradient, torch.zeros_like(gradient))
 
 
@@ -36,7 +36,10 @@ def test_a_copy_that_knows_the_renders_turns_vsd_towards_sds(prior, picture, hol
     vsd = sds = 0.0
     for seed in range(4):
         eps = torch.randn(picture.shape, generator=torch.Generator().manual_seed(seed))
-        a, b = vsd_gradient(prior, copy, render, hole, T, eps), sds_gradient(prior, render, hole, T, eps)
+        a, b = (
+            vsd_gradient(prior, copy, PriorQuery(render, hole, T, eps)),
+            sds_gradient(prior, PriorQuery(render, hole, T, eps)),
+        )
         vsd, sds = vsd + a, sds + b
         assert (b - a).square().sum() < b.square().sum()
     cosine = torch.cosine_similarity(vsd.flatten(), sds.flatten(), dim=0)

@@ -8,8 +8,8 @@ from inpaint3d.diffusion.schedules import (
     alpha,
     cosine_log_snr,
     cosine_time,
+    cosine_time_of,
     linear_log_snr,
-    scheduled,
     shifted_log_snr,
     sigma,
 )
@@ -75,5 +75,5 @@ def test_cosine_time_inverts_the_cosine_schedule() -> None:
 @pytest.mark.parametrize(("schedule", "log_snr"), [("linear", linear_log_snr), ("shifted", shifted)])
 def test_a_scheduled_time_is_as_noisy_as_its_schedule(schedule, log_snr) -> None:
     t = torch.linspace(0.01, 0.99, 50, dtype=torch.float64)
-    torch.testing.assert_close(cosine_log_snr(scheduled(t, schedule, 256)), log_snr(t))
-    assert torch.equal(scheduled(t, "cosine", 256), t)
+    torch.testing.assert_close(cosine_log_snr(cosine_time_of(t, schedule, 256)), log_snr(t))
+    assert torch.equal(cosine_time_of(t, "cosine", 256), t)

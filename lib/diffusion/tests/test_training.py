@@ -6,17 +6,17 @@ import pytest
 import torch
 
 from inpaint3d.diffusion.masks import random_masks
-from inpaint3d.diffusion.schedules import scheduled
+from inpaint3d.diffusion.schedules import cosine_time_of
 from inpaint3d.diffusion.training import (
     Batch,
     TrainingState,
     begin,
     denoising_loss,
     load_checkpoint,
+    rate_after_warm_up,
     save_checkpoint,
     step_generators,
     train_step,
-    warmed_up,
 )
 
 
@@ -126,7 +126,7 @@ def test_a_schedule_says_which_noise_levels_are_learnt(schedule, paper_like, pic
         return denoising_loss(prior, batch, torch.Generator().manual_seed(1), (t, t)).item()
 
     scheduled_spec = paper_like.model_copy(update={"schedule": schedule})
-    same_noise = scheduled(torch.tensor(0.5), schedule, paper_like.size).item()
+    same_noise = cosine_time_of(torch.tensor(0.5), schedule, paper_like.size).item()
     assert loss(scheduled_spec, 0.5) == pytest.approx(loss(paper_like, same_noise), rel=1e-5)
     assert loss(scheduled_spec, 0.5) != pytest.approx(loss(paper_like, 0.5), rel=1e-3)
 
@@ -153,7 +153,7 @@ def test_the_average_forgets_the_start_early_and_follows_slowly_later(shipped_li
 
 
 def test_the_learning_rate_rises_then_falls_to_its_share() -> None:
-    rates = [warmed_up(1e-3, step, 100, 10) for step in range(101)]
+    rates = [rate_after_warm_up(1e-3, step, 100, 10) for step in range(101)]
     assert rates[0] == pytest.approx(1e-4)
     assert max(rates) == pytest.approx(1e-3)
     assert rates[100] == pytest.approx(1e-4)

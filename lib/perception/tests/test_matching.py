@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from inpaint3d.perception import lpips
-from inpaint3d.perception.matching import cells, joined, nearest_mismatch, sliced_mismatch
+from inpaint3d.perception.matching import cells, join_cells, nearest_mismatch, sliced_mismatch
 
 SIDE = 48
 HOLE = torch.zeros(SIDE, SIDE, dtype=torch.bool)
@@ -64,7 +64,7 @@ def test_a_depth_without_references_is_left_out() -> None:
     made, known = cells(stripes(4), HOLE, whole=False), cells(stripes(4), few, whole=True)
     assert len(known[0])
     assert torch.isfinite(nearest_mismatch(made, known))
-    assert [len(x) for x in joined([known, known])] == [2 * len(x) for x in known]
+    assert [len(x) for x in join_cells([known, known])] == [2 * len(x) for x in known]
 
 
 def test_the_difference_has_a_gradient_and_is_the_distance() -> None:

@@ -8,7 +8,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
-from inpaint3d.radiance.artifact import reduced, stub_weights, write_curve, write_view, write_views
+from inpaint3d.radiance.artifact import reduce_camera, stub_weights, write_curve, write_view, write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
 from inpaint3d.scene.cameras import Camera, look_at
@@ -53,8 +53,8 @@ def test_views_are_rendered_at_the_asked_size_and_repeat(tmp_path: Path) -> None
 
 def test_a_camera_is_never_enlarged() -> None:
     camera = Camera(40, 40, 24, 18, 48, 36, look_at((0.8, 0, 0.3), (0, 0, 0)))
-    assert (reduced(camera, 480).width, reduced(camera, 480).height) == (48, 36)
-    assert reduced(camera, 12).fx == 10
+    assert (reduce_camera(camera, 480).width, reduce_camera(camera, 480).height) == (48, 36)
+    assert reduce_camera(camera, 12).fx == 10
 
 
 def test_surfaces_have_normals_and_the_rest_none(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def compare() -> None:
 
 def choose() -> None:
     """Where nothing can be compiled the reference is taken; that there is no such accelerator is reason enough."""
-    works = compiled.works("xla")
+    works = compiled.can_compile("xla")
     names = name_of(select("xla")), name_of(select("cpu", "compiled"))
     sys.stdout.write(f"{works} {' '.join(names)}\n")
 

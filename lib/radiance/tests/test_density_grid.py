@@ -8,6 +8,7 @@ from inpaint3d.radiance.density_grid import FLOOR, MEMORY, UNSEEN, DensityGrid
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays
 from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.spacing import Spacing
 
 SPEC = FieldSpec(
     sampler="density-grid", density_cells=32, density_bins=48,
@@ -50,7 +51,7 @@ def test_the_histogram_is_the_walls_weights_spread_to_neighbours_and_raised() ->
     field, toward = RadianceField(SPEC, 0), rays(5)
     wall(field, -0.25, 0.0, 1e6)
     assert field.density_grid is not None
-    ends, weights = field.density_grid.histogram(field, toward.origins, toward.directions)
+    ends, weights = field.density_grid.histogram(field.backend, toward.origins, toward.directions)
     assert ends.shape == (5, 49)
     assert weights.shape == (5, 48)
     # An opaque first interval gives 1 to itself and half of that to either side.
@@ -59,7 +60,8 @@ def test_the_histogram_is_the_walls_weights_spread_to_neighbours_and_raised() ->
 
 
 def test_a_cell_rises_at_once_and_falls_by_degrees() -> None:
-    grid = DensityGrid(4, 8)
+    spec = SPEC.model_copy(update={"density_cells": 4, "density_bins": 8})
+    grid = DensityGrid(spec, Spacing(0.05, 100.0, True))
     middle, corner = torch.tensor([[0.6, 0.6, 0.6]]), torch.tensor([[0.01, 0.01, 0.99]])
 
     def learn(points: torch.Tensor, density: list[float]) -> None:

@@ -2,7 +2,7 @@ import gc
 
 import torch
 
-from inpaint3d.radiance.memory import GradientMemory, roomy
+from inpaint3d.radiance.memory import GradientMemory, allocate_like
 
 
 def test_memory_is_used_again_only_when_nothing_refers_to_it() -> None:
@@ -36,5 +36,5 @@ def test_an_optimizer_keeps_the_gradient_that_it_was_given() -> None:
 
 def test_roomy_memory_has_the_shape_and_kind_of_a_tensor() -> None:
     for like in (torch.zeros(3, 2), torch.zeros(0, 4), torch.zeros(2).double()):
-        made = roomy(like)
+        made = allocate_like(like)
         assert (made.shape, made.dtype, made.device) == (like.shape, like.dtype, like.device)

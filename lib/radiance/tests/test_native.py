@@ -9,6 +9,7 @@ import torch
 
 from inpaint3d.radiance.architecture import levels_of
 from inpaint3d.radiance.backends import reference, select
+from inpaint3d.radiance.backends.reference import AdamStep
 
 kernels = pytest.importorskip("inpaint3d.kernels", exc_type=ImportError)
 native = importlib.import_module("inpaint3d.radiance.backends.native")
@@ -387,8 +388,8 @@ def test_adam_equals_the_reference(isa, threads, shape, decay, sparse):
         if grad.numel():
             grad.view(-1)[-1] = torch.nan
         for backend, param, (m, v) in zip((native, reference), params, moments, strict=True):
-            arguments = (step, 1e-2, 0.9, 0.99, 1e-15, decay, sparse)
-            assert backend.adam_step(param, grad.to(param.dtype), m, v, *arguments) == min(1, grad.numel())
+            how = AdamStep(step, 1e-2, 0.9, 0.99, 1e-15, decay, sparse)
+            assert backend.adam_step(param, grad.to(param.dtype), m, v, how) == min(1, grad.numel())
     torch.testing.assert_close(params[0], params[1].float(), atol=2e-6, rtol=0)
     torch.testing.assert_close(moments[0][1], moments[1][1].float(), rtol=1e-5, atol=0)
 
@@ -396,6 +397,6 @@ def test_adam_equals_the_reference(isa, threads, shape, decay, sparse):
 def test_adam_changes_a_view_in_place():
     param, m, v = normal(6, 4), torch.zeros(6, 4), torch.zeros(6, 4)
     truth = param.clone()
-    native.adam_step(param[:, :2], torch.ones(6, 2), m[:, :2], v[:, :2], 1, 1e-2, 0.9, 0.99, 1e-15)
+    native.adam_step(param[:, :2], torch.ones(6, 2), m[:, :2], v[:, :2], AdamStep(1, 1e-2, 0.9, 0.99, 1e-15))
     torch.testing.assert_close(param[:, :2], truth[:, :2] - 1e-2)
     assert torch.equal(param[:, 2:], truth[:, 2:])

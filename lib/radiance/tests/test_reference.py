@@ -5,6 +5,7 @@ import torch
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.architecture import Level, levels_of
 from inpaint3d.radiance.backends import reference
+from inpaint3d.radiance.backends.reference import AdamStep
 
 LEVELS = levels_of(levels=4, coarsest=4, finest=32, log2_table=10)
 
@@ -186,7 +187,7 @@ def test_adam_is_torchs() -> None:
         gradient = seeded(50, seed=step) - 0.5
         theirs.grad = gradient.clone()
         optimizer.step()
-        reference.adam_step(ours, gradient, m, v, step, lr=0.01, beta1=0.9, beta2=0.99, eps=1e-15)
+        reference.adam_step(ours, gradient, m, v, AdamStep(step, 0.01, 0.9, 0.99, 1e-15))
     torch.testing.assert_close(ours, theirs.detach())
 
 
@@ -194,7 +195,7 @@ def test_adam_is_torchs() -> None:
 def test_adam_moves_by_at_most_its_rate_at_first(exponent: int) -> None:
     x, m, v = torch.zeros(2), torch.zeros(2), torch.zeros(2)
     gradient = torch.tensor([1.0, -1.0]) * 10.0**exponent
-    reference.adam_step(x, gradient, m, v, 1, lr=0.01, beta1=0.9, beta2=0.99, eps=1e-15)
+    reference.adam_step(x, gradient, m, v, AdamStep(1, 0.01, 0.9, 0.99, 1e-15))
     assert torch.isfinite(x).all()
     assert x.abs().max() <= 0.01 * (1 + 1e-5)
     assert (x * gradient <= 0).all()

@@ -5,7 +5,7 @@ import torch
 from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField, Samples
 from inpaint3d.radiance.rays import camera_rays
-from inpaint3d.radiance.rendering import damped, render, render_view
+from inpaint3d.radiance.rendering import damp_near_camera, render, render_view
 from inpaint3d.radiance.volume import alpha_weights
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.geometry import ray_sphere
@@ -155,7 +155,7 @@ def test_all_weights_get_finite_gradients(noise: RadianceField) -> None:
 def test_damping_changes_gradients_near_the_camera_and_no_value() -> None:
     density = torch.tensor([[0.3, 0.7]], requires_grad=True)
     rgb = torch.rand(1, 2, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
-    same_density, same_rgb = damped(density, rgb, torch.tensor([[0.1, 0.3, 5.0]]))
+    same_density, same_rgb = damp_near_camera(density, rgb, torch.tensor([[0.1, 0.3, 5.0]]))
     assert torch.equal(same_density, density)
     assert torch.equal(same_rgb, rgb)
     (same_density.sum() + same_rgb.sum()).backward()

@@ -8,10 +8,10 @@ from safetensors.numpy import load_file, save_file
 from inpaint3d.contracts.errors import ArtifactError, BadInputError
 from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedTruth
 from inpaint3d.scene.capture_io import (
-    captured_image,
-    captured_mask,
     load_points,
     load_posed,
+    read_captured_image,
+    read_captured_mask,
     write_points,
     write_view,
 )
@@ -65,7 +65,8 @@ def test_a_points_file_without_an_array_or_of_another_kind_is_refused(tmp_path):
 
 
 def test_tracks_say_which_points_a_frame_sees():
-    index, xy = SCENE.points.seen_in(2)
+    rows = SCENE.points.track_frame == 2
+    index, xy = SCENE.points.track_point[rows], SCENE.points.track_xy[rows]
     projected, z = SCENE.cameras[2].project(SCENE.points.xyz[index])
     np.testing.assert_allclose(projected, xy, atol=1e-3)  # float32 points and pixels
     assert (z > 0).all()
@@ -89,8 +90,8 @@ def test_captured_frames_and_masks_are_read(tmp_path):
     write_mask(tmp_path / "masks/a.png", SCENE.object_masks[0])
     frame = CapturedFrame(name="a", path="frames/a.png", width=24, height=18, mask="masks/a.png")
     folder = Folder(Capture(layout="photos", ordered=True, frames=(frame,)), tmp_path)
-    np.testing.assert_allclose(captured_image(folder, frame), SCENE.images[0], atol=0.5 / 255 + 1e-6)
-    np.testing.assert_array_equal(captured_mask(folder, frame), SCENE.object_masks[0])
-    assert captured_mask(folder, frame.model_copy(update={"mask": None})) is None
+    np.testing.assert_allclose(read_captured_image(folder, frame), SCENE.images[0], atol=0.5 / 255 + 1e-6)
+    np.testing.assert_array_equal(read_captured_mask(folder, frame), SCENE.object_masks[0])
+    assert read_captured_mask(folder, frame.model_copy(update={"mask": None})) is None
     with pytest.raises(BadInputError, match="its image is 48x18"):
-        captured_mask(folder, frame.model_copy(update={"width": 48}))
+        read_captured_mask(folder, frame.model_copy(update={"width": 48}))

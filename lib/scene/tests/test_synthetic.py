@@ -43,7 +43,8 @@ def test_tracks_are_exact_and_on_visible_surfaces():
     assert len(points) == 150
     assert (np.diff(points.track_offsets) >= 3).all()
     for frame, camera in enumerate(SCENE.cameras):
-        index, xy = points.seen_in(frame)
+        rows = points.track_frame == frame
+        index, xy = points.track_point[rows], points.track_xy[rows]
         projected, z = camera.project(points.xyz[index])
         np.testing.assert_allclose(projected, xy, atol=2e-3)  # float32 points, 40 px lens
         column, row = np.clip(xy.astype(int).T, 0, [[39], [29]])

@@ -14,7 +14,7 @@ from inpaint3d.scene.image_io import read_header, read_image, write_mask, write_
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
-from inpaint3d.stages.capture_ingest.run import _carry, detect, find, fitted_mask, read_exif
+from inpaint3d.stages.capture_ingest.run import _carry, detect, find, fit_mask, read_exif
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -195,9 +195,9 @@ def test_video_takes_the_sharpest_of_each_stretch(tmp_path):
 
 def test_mask_of_half_the_size_is_resampled_and_another_aspect_refused(tmp_path):
     write_mask(tmp_path / "m.png", SCENE.object_masks[0])
-    assert fitted_mask(tmp_path / "m.png", 64, 48).mean() == pytest.approx(SCENE.object_masks[0].mean())
+    assert fit_mask(tmp_path / "m.png", 64, 48).mean() == pytest.approx(SCENE.object_masks[0].mean())
     with pytest.raises(BadInputError, match=r"m\.png is 32x24 but its picture is 32x32"):
-        fitted_mask(tmp_path / "m.png", 32, 32)
+        fit_mask(tmp_path / "m.png", 32, 32)
 
 
 def test_mask_without_a_picture_and_twin_names(tmp_path):

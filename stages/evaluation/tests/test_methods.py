@@ -10,7 +10,7 @@ from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.methods import Method
 from inpaint3d.stages.evaluation.photos import Photo
-from inpaint3d.stages.evaluation.protocols import Bench, neighbouring_views
+from inpaint3d.stages.evaluation.protocols import Bench, score_neighbouring_views
 
 SPEC = FieldSpec(
     proposal_grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=8, channels=1),
@@ -78,14 +78,14 @@ def test_a_painted_wall_looks_the_same_from_the_next_view(store):
     """Its colours differ by what bilinear sampling loses; a second paint in the hole of one view would show."""
     bench = Bench([method(store, "wall")], Config(), tick=lambda message: None)
     views = [photo("a", 0.0), photo("b", 0.15), photo("c", -0.6)]
-    (protocol,) = neighbouring_views(bench, views[:1], views)
+    (protocol,) = score_neighbouring_views(bench, views[:1], views)
     figures = {m.name: m.value for m in protocol.metrics}
     assert figures.keys() == {"reprojection_hole", "reprojection_known"}
     assert max(figures.values()) < 0.02
     bench.renders["wall", "b"]["rgb"][8:16] = 0.0
     bench.scores.rows.clear()
-    (protocol,) = neighbouring_views(bench, views[:1], views)
+    (protocol,) = score_neighbouring_views(bench, views[:1], views)
     painted = {m.name: m.value for m in protocol.metrics}
     assert painted["reprojection_hole"] > 0.2
     bench.scores.rows.clear()
-    assert neighbouring_views(bench, views[:1], views[:1]) == []
+    assert score_neighbouring_views(bench, views[:1], views[:1]) == []

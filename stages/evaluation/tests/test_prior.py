@@ -1,7 +1,7 @@
 import pytest
 
 from inpaint3d.contracts.models.artifacts import DiffusionPrior, MaskSet, PriorSpec
-from inpaint3d.stages.evaluation.notes import weaknesses
+from inpaint3d.stages.evaluation.notes import list_weaknesses
 from inpaint3d.stages.evaluation.prior import held_out_crops
 
 MASKS = MaskSet(kind="volume", task="inpaint", origin="sphere", method="by hand", views=())
@@ -33,5 +33,5 @@ def test_a_prior_that_was_not_judged_has_no_table() -> None:
 @pytest.mark.parametrize(("before", "named"), [(0.25, False), (0.2, True), (0.19, True)])
 def test_fine_tuning_that_did_not_help_is_named(before: float, named: bool) -> None:
     done = held_out_crops(prior(start_lpips_sample=before))
-    weak = " ".join(weaknesses("joint", done, MASKS, truth=True))
+    weak = " ".join(list_weaknesses("joint", done, MASKS, truth=True))
     assert ("fine-tuning the prior on this capture did not help" in weak) is named

@@ -6,7 +6,7 @@ import pytest
 from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.evaluation.charts import Line, line_chart
-from inpaint3d.stages.evaluation.report import RUN_MARKER, Curve, Report, Strip, stopping_early, write_report
+from inpaint3d.stages.evaluation.report import RUN_MARKER, Curve, Report, Strip, cost_of_stopping_early, write_report
 from inpaint3d.stages.evaluation.scores import metric
 
 
@@ -59,12 +59,12 @@ def test_non_finite_values_are_told(tmp_path):
 
 
 def test_stopping_early_costs_what_the_curve_says():
-    row = stopping_early(Curve("a", [(100, 10.0), (200, 14.0), (300, 15.0), (400, 15.5)]))
+    row = cost_of_stopping_early(Curve("a", [(100, 10.0), (200, 14.0), (300, 15.0), (400, 15.5)]))
     assert row is not None
     label, costs, last = row
     assert (label, last) == ("a", 15.5)
     assert costs == pytest.approx([-5.5, -1.5, -0.5])
-    assert stopping_early(Curve("a", [(100, 10.0)])) is None
+    assert cost_of_stopping_early(Curve("a", [(100, 10.0)])) is None
 
 
 def test_a_chart_of_nothing_is_nothing():

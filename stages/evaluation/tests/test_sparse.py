@@ -3,7 +3,7 @@ import numpy as np
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.capture_io import SparsePoints
 from inpaint3d.stages.evaluation.photos import Photo
-from inpaint3d.stages.evaluation.sparse import judging, outside
+from inpaint3d.stages.evaluation.sparse import choose_judges, find_known_rows
 
 CAMERA = Camera(60, 60, 24, 18, 48, 36, look_at((0.9, 0, 0.3), (0, 0, 0)))
 
@@ -20,7 +20,7 @@ def test_sightings_under_a_mask_are_left_out_at_the_photos_own_size() -> None:
         track_offsets=np.array([0, 2, 4]), track_frame=np.array([0, 1, 0, 1], np.int32),
         track_xy=np.float32([[10, 10], [10, 10], [30, 10], [48, 36]]),
     )  # fmt: skip
-    rows = outside(points, [CAMERA, CAMERA], [photo(known), photo(np.ones((18, 24), bool))])
+    rows = find_known_rows(points, [CAMERA, CAMERA], [photo(known), photo(np.ones((18, 24), bool))])
     assert rows.tolist() == [True, True, False, True]
 
 
@@ -32,7 +32,7 @@ def test_held_out_photos_judge_where_they_saw_something_known() -> None:
         track_xy=np.zeros((3, 2), np.float32),
     )  # fmt: skip
     photos, known = [photo(everything), photo(everything, "test")], np.array([True, True, False])
-    rows, split = judging(known, points, photos)
+    rows, split = choose_judges(known, points, photos)
     assert (rows.tolist(), split) == ([False, True, False], "held-out")
-    rows, split = judging(np.array([True, False, False]), points, photos)
+    rows, split = choose_judges(np.array([True, False, False]), points, photos)
     assert (rows.tolist(), split) == ([True, False, False], "training")

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from inpaint3d.radiance.rays import camera_rays
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank
@@ -40,7 +40,7 @@ def test_what_was_filled_is_drawn_in_the_share_that_is_asked(room: SyntheticScen
     views = views_of(room)
     filled = [replace(v, image=np.full_like(v.image, 0.1 * (i + 1))) for i, v in enumerate(views)]
     depths = [np.full(m.shape, 2.0 + i) for i, m in enumerate(room.object_masks)]
-    surfaces = Sightings.of_surfaces(list(zip(room.cameras, depths, room.object_masks, strict=True)))
+    surfaces = SightLines.of_surfaces(list(zip(room.cameras, depths, room.object_masks, strict=True)))
     bank = RayBank(views, "cpu", filled=Filled(filled, surfaces), filled_share=0.25)
     batch = bank.draw(400, patches=0, patch_size=8, generator=torch.Generator().manual_seed(0), sighted=16)
     assert len(batch.target) == 400

@@ -5,10 +5,10 @@ import torch
 
 from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.line_of_sight import line_of_sight_loss
 from inpaint3d.radiance.losses import charbonnier, depth_smoothness_loss, distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import BACKGROUND, render
-from inpaint3d.radiance.sightings import line_of_sight_loss
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Batch, joined
 from inpaint3d.stages.joint_optimization.config import Config

@@ -25,7 +25,7 @@ from inpaint3d.contracts.store import Artifact, FolderStore, Record, Store
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.io import load_field
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels, psnr
 from inpaint3d.scene.capture_io import load_points, load_posed, write_points, write_view
@@ -165,7 +165,7 @@ def test_stopped_it_goes_on_as_if_nothing_had_happened(store: Store, tmp_path: P
     views = load_posed(capture)
     cameras, sparse = [v.camera for v in views], load_points(capture.path(capture.metadata.points))
     pixels = Pixels.of(cameras, [v.image() for v in views], [v.valid() for v in views])
-    known = Known(pixels, Sightings.of(cameras, sparse))
+    known = Known(pixels, SightLines.of(cameras, sparse))
     centre_depth = capture.metadata.centre_depth
     points = np.zeros((0, 3), np.float32)
     spec = field_spec(config.architecture, effects, views=len(views), centre_depth=centre_depth, points=points)

@@ -20,7 +20,7 @@ from inpaint3d.contracts.models.artifacts import (
 from inpaint3d.contracts.store import FolderStore, Record, Store
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import load_points, load_posed
-from inpaint3d.scene.geometry import align_points
+from inpaint3d.scene.geometry import Similarity
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.reprojection import warp_image
 from inpaint3d.scene.synthetic import SyntheticScene, arc_cameras, synthetic_scene
@@ -70,6 +70,16 @@ def solve(store: Store, inputs: dict[str, str], **parameters: object) -> Record:
     return execute(MODULE, store, Invocation(inputs=inputs, parameters=parameters, threads=1), Events())  # pyright: ignore
 
 
+def fit_similarity(source: list[np.ndarray], target: list[np.ndarray]) -> Similarity:
+    """Least squares over points [n, 3] (Umeyama, PAMI 1991, eqs. 40-42)."""
+    mean_s, mean_t = np.mean(source, 0), np.mean(target, 0)
+    u, singular, vt = np.linalg.svd((target - mean_t).T @ (source - mean_s))
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ np.diag(sign) @ vt
+    scale = float(np.sum(singular * sign) / np.sum((source - mean_s) ** 2))
+    return Similarity(scale, rotation, mean_t - scale * rotation @ mean_s)
+
+
 @pytest.fixture(scope="module")
 def scene() -> SyntheticScene:
     return synthetic_scene(8, *SIZE)
@@ -114,7 +124,8 @@ def test_points_lie_on_the_rooms_surfaces(store: Store, scene: SyntheticScene, p
     matrix = np.array(posed.metadata.source_from_normalised)
     errors = []
     for frame, view in enumerate(load_posed(posed)):
-        index, xy = points.seen_in(frame)
+        rows = points.track_frame == frame
+        index, xy = points.track_point[rows], points.track_xy[rows]
         projected, _ = view.camera.project(points.xyz[index])
         assert np.linalg.norm(projected - xy, axis=1).mean() < 0.5
         world = points.xyz[index] @ matrix[:, :3].T + matrix[:, 3]
@@ -161,7 +172,7 @@ def test_cameras_are_found_from_the_pictures_and_truth_beside_them(store: Store)
     assert posed.metadata.registration.mean_reprojection_error_px < 0.5
     assert posed.metadata.lens.params[0] == pytest.approx(scene.cameras[0].fx, rel=0.05)
     views = load_posed(posed)
-    found = align_points([v.camera.centre for v in views], [c.centre for c in scene.cameras])
+    found = fit_similarity([v.camera.centre for v in views], [c.centre for c in scene.cameras])
     off = np.linalg.norm(found.points([v.camera.centre for v in views]) - [c.centre for c in scene.cameras], axis=1)
     assert off.max() < 0.02  # of an extent of 1.4
     kept = load_posed(store.open(record.outputs["posed-truth"], PosedTruth))

@@ -4,7 +4,7 @@ import pytest
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.stages.usd_export.fusion import Volume, depth_ahead, fuse
 from inpaint3d.stages.usd_export.guides import visual_hull
-from inpaint3d.stages.usd_export.mesh import Mesh, extract, label_pieces, without_floaters
+from inpaint3d.stages.usd_export.mesh import Mesh, extract, label_pieces, remove_floaters
 from inpaint3d.stages.usd_export.surface_views import SurfaceView, bounds_of
 
 
@@ -79,10 +79,10 @@ def test_small_pieces_are_dropped_with_their_vertices():
     ball = extract(ball_volume())
     floater = np.array([[5.0, 5, 5], [6, 5, 5], [5, 6, 5]])
     both = Mesh(np.concatenate([floater, ball.vertices]), np.concatenate([[[0, 1, 2]], ball.triangles + 3]))
-    kept = without_floaters(both, 0.01)
+    kept = remove_floaters(both, 0.01)
     assert len(kept.triangles) == len(ball.triangles)
     assert len(kept.vertices) == len(ball.vertices)
-    assert len(without_floaters(both, 0.0).triangles) == len(ball.triangles) + 1
+    assert len(remove_floaters(both, 0.0).triangles) == len(ball.triangles) + 1
 
 
 def test_a_long_strip_is_one_piece():

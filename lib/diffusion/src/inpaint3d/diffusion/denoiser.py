@@ -54,7 +54,7 @@ class Denoiser(Protocol):
         ...
 
 
-def guided(conditional: Callable[[], Latent], null: Callable[[], Latent], guidance: float) -> Latent:
+def guide_noise(conditional: Callable[[], Latent], null: Callable[[], Latent], guidance: float) -> Latent:
     """Classifier-free guidance, eps_null + guidance * (eps_cond - eps_null) (arXiv:2207.12598; S5).
 
     guidance 1 is the conditional estimate and 0 the unconditional one; each costs one network call, other values two.

@@ -33,7 +33,7 @@ def mean_estimate(prior: InpaintingPrior, image: Image, mask: Mask, generator: t
     return torch.where(mask > 0, clean.clamp(-1, 1), image)
 
 
-def fills(
+def fill_each_way(
     prior: InpaintingPrior, image: Image, mask: Mask, generator: torch.Generator, *, steps: int = 8, batch: int = 16
 ) -> dict[str, Image]:
     """The prior's samples and expectation, and two classical fills, by name.
@@ -51,7 +51,7 @@ def fills(
     }
 
 
-def grid(
+def draw_grid(
     image: Image, mask: Mask, samples: Image, expected: Image | None = None
 ) -> UInt8[np.ndarray, "rows columns 3"]:
     """One row per picture: hole in grey, sample, expectation if given, truth; with 2 px between them."""

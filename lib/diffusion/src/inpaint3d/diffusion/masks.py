@@ -12,9 +12,6 @@ Kind = Callable[[int, np.random.Generator], np.ndarray]
 STANDARD_MIX: Mapping[str, float] = {"rectangles": 0.3, "strokes": 0.25, "blobs": 0.45}
 """Shares of the kinds. Projected spheres and objects, the commonest request, are blobs."""
 
-PAPER_MIX: Mapping[str, float] = {"rectangles": 0.5, "strokes": 0.5}
-"""The paper's two kinds: small rectangles, strokes over most of the picture."""
-
 
 def random_masks(
     count: int, size: int, rng: np.random.Generator, mix: Mapping[str, float] = STANDARD_MIX
@@ -27,10 +24,10 @@ def random_masks(
     if unknown or abs(sum(mix.values()) - 1) > 1e-6:
         raise ValueError(f"mask mix {dict(mix)}: kinds are {sorted(_KINDS)} and their shares sum to 1")
     kinds = rng.choice(list(mix), size=count, p=list(mix.values()))
-    return np.stack([_usable(_KINDS[kind], size, rng) for kind in kinds])
+    return np.stack([_draw_usable(_KINDS[kind], size, rng) for kind in kinds])
 
 
-def _usable(kind: Kind, size: int, rng: np.random.Generator) -> HoleMask:
+def _draw_usable(kind: Kind, size: int, rng: np.random.Generator) -> HoleMask:
     while True:
         mask = kind(size, rng) > 0
         # A prior learns nothing from a hole of a few pixels, nor from a picture without surroundings.

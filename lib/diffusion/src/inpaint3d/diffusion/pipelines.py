@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.diffusion.denoiser import Image, Latent, Mask, Times, guided
+from inpaint3d.diffusion.denoiser import Image, Latent, Mask, Times, guide_noise
 from inpaint3d.diffusion.parameterisation import Kind, Parameterisation
 from inpaint3d.diffusion.schedules import alpha, cosine_log_snr, per_image, sigma
 
@@ -106,7 +106,7 @@ class PipelinePrior:
         noise_fill: Image | None = None,  # noqa: ARG002 - of `Denoiser`; these models are shown a grey hole
     ) -> Latent:
         """eps_hat(z_t; t, y), guided."""
-        return guided(
+        return guide_noise(
             lambda: self._noise(z, t, image, mask, text=1),
             lambda: self._noise(z, t, torch.zeros_like(image), torch.ones_like(mask), text=0),
             guidance,

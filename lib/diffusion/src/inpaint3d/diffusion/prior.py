@@ -13,7 +13,7 @@ from torch import nn
 
 from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance, to_opponent
-from inpaint3d.diffusion.denoiser import Image, Mask, Times, guided
+from inpaint3d.diffusion.denoiser import Image, Mask, Times, guide_noise
 from inpaint3d.diffusion.fill import pyramid_fill
 from inpaint3d.diffusion.parameterisation import Parameterisation
 from inpaint3d.diffusion.schedules import cosine_log_snr
@@ -129,7 +129,7 @@ class InpaintingPrior(nn.Module):
         def noise(image: Image, mask: Mask) -> Image:
             return self.estimate(z, t, image, mask, noise_fill).noise
 
-        return guided(
+        return guide_noise(
             lambda: noise(image, mask), lambda: noise(torch.zeros_like(image), torch.ones_like(mask)), guidance
         )
 

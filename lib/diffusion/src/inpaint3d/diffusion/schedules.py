@@ -47,7 +47,7 @@ def cosine_time(log_snr: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     return torch.atan(torch.exp(-log_snr / 2)) * (2 / math.pi)
 
 
-def scheduled(t: Float[Tensor, "*b"], schedule: Schedule, size: int) -> Float[Tensor, "*b"]:
+def cosine_time_of(t: Float[Tensor, "*b"], schedule: Schedule, size: int) -> Float[Tensor, "*b"]:
     """The time of the cosine schedule at which it is as noisy as `schedule` is at t.
 
     z_t and the network know of t by its log SNR alone, so that a schedule is no more than how often each noise level is

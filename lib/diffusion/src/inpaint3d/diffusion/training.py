@@ -21,7 +21,7 @@ from inpaint3d.diffusion.bands import pixel_variance
 from inpaint3d.diffusion.denoiser import Image, Mask
 from inpaint3d.diffusion.parallel import average_over_ranks
 from inpaint3d.diffusion.prior import InpaintingPrior
-from inpaint3d.diffusion.schedules import scheduled
+from inpaint3d.diffusion.schedules import cosine_time_of
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def denoising_loss(
     # Stratified: a batch covers all noise levels, which takes noise out of the loss (VDM, arXiv:2107.00630, I.1).
     stratum = (torch.arange(count) + torch.rand(count, generator=generator)) / count
     t = t_range[0] + (t_range[1] - t_range[0]) * stratum[torch.randperm(count, generator=generator)]
-    t = scheduled(t, spec.schedule, spec.size)
+    t = cosine_time_of(t, spec.schedule, spec.size)
     eps = torch.randn(batch.image.shape, generator=generator)
     noise_fill = torch.randn(batch.image.shape, generator=generator)
     dropped = (torch.rand(count, 1, 1, 1, generator=generator) < spec.condition_dropout).float()
@@ -110,7 +110,7 @@ def denoising_loss(
     hole = torch.maximum(batch.hole, dropped.expand_as(batch.hole))
     fill = prior.filled(batch.image, hole, noise_fill)
     # Where the truth is unknown z is made of the fill: never of a pixel that must not be learnt.
-    x = torch.where(batch.teach > 0, batch.image, pictured(fill, hole, spec))
+    x = torch.where(batch.teach > 0, batch.image, stand_in_for(fill, hole, spec))
     region = batch.teach * (hole if spec.loss_region == "hole" else 1)
     squared = (_error(prior, x, eps, t, fill, hole).square() * region).sum(dim=(1, 2, 3))
     return (squared / (3 * region.sum(dim=(1, 2, 3))).clamp(min=1)).mean()
@@ -131,7 +131,7 @@ def _error(prior: InpaintingPrior, x: Image, eps: Image, t: Tensor, fill: Image,
     return (parameterisation.clean(output, z, fill) - x) / unit
 
 
-def pictured(fill: Image, hole: Mask, spec: PriorSpec) -> Image:
+def stand_in_for(fill: Image, hole: Mask, spec: PriorSpec) -> Image:
     """A stand-in for pixels nobody may see: the smooth fill, or mid grey where the condition holds noise."""
     return fill if spec.condition == "mask-channel" else torch.where(hole > 0, 0.0, fill)
 
@@ -175,7 +175,7 @@ def train_step(
     return state.pending[-1]
 
 
-def warmed_up(peak: float, step: int, total: int, warm_up: int, final_share: float = 0.1) -> float:
+def rate_after_warm_up(peak: float, step: int, total: int, warm_up: int, final_share: float = 0.1) -> float:
     """Learning rate: linear warm-up, then a cosine from `peak` to `final_share * peak` at `total`."""
     if step < warm_up:
         return peak * (step + 1) / warm_up

@@ -78,7 +78,7 @@ class Lpips:
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
-        Small pictures are both `enlarged`.
+        Small pictures are both `enlarge`.
         """
         return float(self.difference(*(_batch(picture) for picture in (image, truth))))
 
@@ -141,10 +141,10 @@ def _oihw(kernel: NDArray[np.float32]) -> Tensor:
 
 
 def _batch(picture: NDArray[np.float32]) -> Tensor:
-    return enlarged(torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None] * 2.0 - 1.0)
+    return enlarge(torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None] * 2.0 - 1.0)
 
 
-def enlarged(images: Tensor) -> Tensor:
+def enlarge(images: Tensor) -> Tensor:
     """Images [n, 3, h, w], bilinearly by the smallest whole factor that makes every side at least 64 px."""
     factor = -(-SMALLEST_SIDE // min(images.shape[2:]))
     return F.interpolate(images, scale_factor=factor, mode="bilinear") if factor > 1 else images

@@ -76,6 +76,6 @@ def sliced_mismatch(made: Cells, references: Cells, generator: torch.Generator, 
     return total
 
 
-def joined(parts: Sequence[Cells]) -> Cells:
+def join_cells(parts: Sequence[Cells]) -> Cells:
     """The cells of several pictures, depth by depth."""
     return [torch.cat(depth) for depth in zip(*parts, strict=True)]

@@ -39,7 +39,7 @@ def write_views(
     for index, (name, camera) in enumerate(views):
         if tick is not None:
             tick(index, len(views))
-        small = reduced(camera, longest_side)
+        small = reduce_camera(camera, longest_side)
         written.append(write_view(folder, name, small, render_view(field, small, block=block)))
     return tuple(written)
 
@@ -63,7 +63,7 @@ def write_view(folder: Path, name: str, camera: Camera, maps: Mapping[str, NDArr
     return view
 
 
-def reduced(camera: Camera, longest_side: int) -> Camera:
+def reduce_camera(camera: Camera, longest_side: int) -> Camera:
     """The camera with its longest side reduced to at most `longest_side` pixels; never enlarged."""
     share = min(1.0, longest_side / max(camera.width, camera.height))
     return camera.scaled(max(1, round(camera.width * share)), max(1, round(camera.height * share)))

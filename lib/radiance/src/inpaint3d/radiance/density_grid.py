@@ -4,16 +4,13 @@ Instant-NGP keeps the field's density in cells to skip empty space (arXiv:2201.0
 histogram along each ray, and samples are drawn from that: there is no proposal network to ask or to train.
 """
 
-from typing import TYPE_CHECKING
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance import backends
-
-if TYPE_CHECKING:
-    from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.spacing import Spacing
 
 # Per scene unit: what has not been looked at lets light through, but draws samples.
 UNSEEN = 0.5
@@ -24,25 +21,26 @@ FLOOR = 0.01
 
 
 class DensityGrid(nn.Module):
-    """The densities that a field was seen to have, in `cells` per side of the cube that its hash grids live in."""
+    """The densities that a field was seen to have, in cells of the cube that its hash grids live in."""
 
     density: Tensor
 
-    def __init__(self, cells: int, bins: int) -> None:
+    def __init__(self, spec: FieldSpec, spacing: Spacing) -> None:
         super().__init__()
-        self.cells, self.bins = cells, bins
-        self.register_buffer("density", torch.full((cells**3,), UNSEEN))
+        self.cells, self.bins = spec.density_cells, spec.density_bins
+        self._spacing, self._contraction, self._bound = spacing, spec.contraction, spec.bound
+        self.register_buffer("density", torch.full((self.cells**3,), UNSEEN))
         self._noticed: list[tuple[Tensor, Tensor]] = []
 
     @torch.no_grad()
     def histogram(
-        self, field: "RadianceField", origins: Float[Tensor, "r 3"], directions: Float[Tensor, "r 3"]
+        self, backend: backends.Backend, origins: Float[Tensor, "r 3"], directions: Float[Tensor, "r 3"]
     ) -> tuple[Float[Tensor, "r {self.bins}+1"], Float[Tensor, "r {self.bins}"]]:
         """Ends, evenly in s, and weights of each ray's intervals (`backends.reference.grid_histogram`)."""
         ends = torch.linspace(0, 1, self.bins + 1, device=origins.device)
-        tdist, spec = field.spacing.metric_from_normalised(ends), field.spec
-        weights = field.backend.grid_histogram(
-            self.density, self.cells, origins, directions, tdist, spec.contraction, spec.bound, FLOOR
+        tdist = self._spacing.metric_from_normalised(ends)
+        weights = backend.grid_histogram(
+            self.density, self.cells, origins, directions, tdist, self._contraction, self._bound, FLOOR
         )
         return ends.expand(len(origins), -1), weights
 

@@ -12,7 +12,7 @@ from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance import backends, directions, safe
 from inpaint3d.radiance.architecture import levels_of, parameter_shapes
 from inpaint3d.radiance.density_grid import DensityGrid
-from inpaint3d.radiance.memory import roomy
+from inpaint3d.radiance.memory import allocate_like
 from inpaint3d.radiance.spacing import Spacing
 
 # Raw outputs start near 0. Density e^-1 per scene unit lets light through the whole scene at first.
@@ -52,7 +52,7 @@ class RadianceField(nn.Module):
         if spec.sampler == "proposal":
             self.proposal = HashNetwork(spec.proposal_grid, "proposal", weights)
         else:
-            self.density_grid = DensityGrid(spec.density_cells, spec.density_bins)
+            self.density_grid = DensityGrid(spec, self.spacing)
         self.base = HashNetwork(spec.grid, "base", weights)
         self.specular = nn.ParameterList([w for name, w in weights.items() if name.startswith("specular.")])
         if spec.glo:
@@ -139,7 +139,7 @@ def _start(name: str, shape: tuple[int, ...], generator: torch.Generator) -> Ten
     spread = torch.rand(shape, generator=generator) * 2 - 1
     if name.endswith("table"):
         # Instant-NGP's start: small enough that colours and densities begin alike everywhere.
-        return torch.mul(spread, 1e-4, out=roomy(spread))
+        return torch.mul(spread, 1e-4, out=allocate_like(spread))
     # He's uniform start for layers of ReLU, [out, in]; `code_map` is [in, out].
     return spread * math.sqrt(6 / shape[0 if name == "code_map" else 1])
 

@@ -16,7 +16,7 @@ from torch.utils.weak import WeakIdKeyDictionary
 UNUSED = 3
 
 
-def roomy(like: Tensor) -> Tensor:
+def allocate_like(like: Tensor) -> Tensor:
     """Memory of a tensor's shape, not initialised, in huge pages where it is large: numpy asks the system for them."""
     if like.dtype != torch.float32 or like.device.type != "cpu":
         return torch.empty_like(like)

@@ -5,9 +5,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from inpaint3d.radiance.backends.reference import AdamStep
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.fitting import LossWeights, Optimizer
-from inpaint3d.radiance.memory import roomy
+from inpaint3d.radiance.memory import allocate_like
 
 BETAS = (0.9, 0.99)
 EPS = 1e-15
@@ -92,7 +93,7 @@ class Adam:
     def moments(self, param: Tensor) -> tuple[Tensor, Tensor]:
         """Adam's m and v of a parameter; zeros before its first step."""
         if param not in self._moments:
-            self._moments[param] = (roomy(param).zero_(), roomy(param).zero_())
+            self._moments[param] = (allocate_like(param).zero_(), allocate_like(param).zero_())
         return self._moments[param]
 
     @torch.no_grad()
@@ -115,6 +116,7 @@ class Adam:
         lost = 0
         for part, decay in levels:
             of = (param[part], grad[part], m[part], v[part])
-            lost += self._field.backend.adam_step(*of, self.steps, rate, *self._betas, self._eps, decay, sparse)
+            how = AdamStep(self.steps, rate, *self._betas, self._eps, decay, sparse)
+            lost += self._field.backend.adam_step(*of, how)
         if lost:
             self.lost[param] = lost

@@ -33,7 +33,7 @@ class Rays:
         return Rays(self.origins[index], self.directions[index], view)
 
 
-def joined(parts: Sequence[Rays]) -> Rays:
+def join_rays(parts: Sequence[Rays]) -> Rays:
     """Rays [n] of several draws as one; the view is kept where every part has one."""
     views = [p.view for p in parts if p.view is not None]
     view = torch.cat(views) if len(views) == len(parts) else None

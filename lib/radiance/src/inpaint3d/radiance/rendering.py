@@ -53,7 +53,7 @@ def render(
     result repeats. glo: each ray's
     own appearance code, or the mean of all. anneal: power on the proposals' weights before they are resampled (Mip-NeRF
     360: from 0, even sampling, to 1 over the first steps). near_gradient False turns the gradients down close to the
-    camera (see `damped`).
+    camera (see `damp_near_camera`).
     """
     shape, flat = rays.shape, rays.flatten()
     sdist, proposals = _propose(field, flat, generator, anneal)
@@ -66,7 +66,7 @@ def render(
         field.density_grid.notice(field.cube(points), samples.density)
     density, rgb = samples.density.reshape(r, s), samples.rgb.reshape(r, s, 3)
     if not near_gradient:
-        density, rgb = damped(density, rgb, tdist)
+        density, rgb = damp_near_camera(density, rgb, tdist)
     weights, colour, opacity, depth_sum = field.backend.composite(density, rgb, tdist)
     missing = (1 - opacity)[:, None]
     behind = missing * (background.reshape(r, 3) if isinstance(background, Tensor) else background)
@@ -91,7 +91,7 @@ def _propose(
     r, device = len(rays.origins), rays.origins.device
     proposals: list[tuple[Tensor, Tensor]] = []
     if field.density_grid is not None:
-        sdist, weights = field.density_grid.histogram(field, rays.origins, rays.directions)
+        sdist, weights = field.density_grid.histogram(field.backend, rays.origins, rays.directions)
         rounds = ()
     else:
         sdist = torch.tensor([0.0, 1.0], device=device).expand(r, 2)
@@ -118,7 +118,7 @@ def _points(rays: Rays, tdist: Float[Tensor, "r s"]) -> Float[Tensor, "_ 3"]:
     return torch.addcmul(rays.origins[:, None], rays.directions[:, None], middle[..., None]).reshape(-1, 3)
 
 
-def damped(
+def damp_near_camera(
     density: Float[Tensor, "r s"], rgb: Float[Tensor, "r s 3"], tdist: Float[Tensor, "r s+1"]
 ) -> tuple[Float[Tensor, "r s"], Float[Tensor, "r s 3"]]:
     """The same values, their gradients times min(1, t^2) (Philip and Deschaintre 2023, arXiv:2305.02756).

@@ -24,24 +24,12 @@ class Spacing(NamedTuple):
         # Both shares are added, not one subtracted: exact at s = 1 too, where 1/(1 + t) is small.
         return 1 / ((1 - sdist) / (1 + self.near) + sdist / (1 + self.far)) - 1
 
-    def normalised_from_metric(self, tdist: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
-        """[0, 1] from scene units."""
-        if not self.reciprocal:
-            return (tdist - self.near) / (self.far - self.near)
-        near, far = 1 / (1 + self.near), 1 / (1 + self.far)
-        return (near - 1 / (1 + tdist)) / (near - far)
-
-
-def power_ladder(x: Float[Tensor, "*n"], p: float, premult: float = 1.0) -> Float[Tensor, "*n"]:
-    """P(x, p) of Zip-NeRF (arXiv:2304.06706, supplement) for p < 0, x >= 0: about x near 0, tends to (p - 1)/p."""
-    return (p - 1) / p - below_limit(x, p, premult)
-
 
 def below_limit(x: Float[Tensor, "*n"], p: float, premult: float = 1.0) -> Float[Tensor, "*n"]:
-    """How much P(x, p) lacks to its limit at infinity, (p - 1)/p.
+    """How much the ladder P(x, p) of Zip-NeRF (arXiv:2304.06706, supplement) lacks to its limit, for x >= 0.
 
-    Near the limit float32 forgets the differences of P: with premult 20000 all distances beyond 1000 are one. This
-    difference keeps them, and has the same distances up to sign.
+    P(x, p) is about x near 0 and tends to (p - 1)/p. Near the limit float32 forgets the differences of P: with premult
+    20000 all distances beyond 1000 are one. This difference keeps them, and has the same distances up to sign.
     """
     if p >= 0:
         raise ValueError(f"the ladder has a limit only for p < 0, not {p}")

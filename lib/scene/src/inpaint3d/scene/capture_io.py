@@ -87,11 +87,6 @@ class SparsePoints:
         """Which point each row of the tracks belongs to, [t]."""
         return np.repeat(np.arange(len(self)), np.diff(self.track_offsets))
 
-    def seen_in(self, frame: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Indices [k] of the points seen in a frame, and where [k, 2]."""
-        rows = np.flatnonzero(self.track_frame == frame)
-        return self.track_point[rows], self.track_xy[rows]
-
     def select(self, keep: ArrayLike) -> "SparsePoints":
         """Only the points where `keep` bool [p] is True."""
         keep = np.asarray(keep, bool)
@@ -185,12 +180,12 @@ def write_view(
     )
 
 
-def captured_image(artifact: CaptureFolder, frame: CapturedFrame) -> Image:
+def read_captured_image(artifact: CaptureFolder, frame: CapturedFrame) -> Image:
     """A captured frame's picture, sRGB-encoded float32 [h, w, 3]."""
     return read_image(artifact.root / frame.path)
 
 
-def captured_mask(artifact: CaptureFolder, frame: CapturedFrame) -> Mask | None:
+def read_captured_mask(artifact: CaptureFolder, frame: CapturedFrame) -> Mask | None:
     """The mask that came with a captured frame, bool [h, w]; None if none came."""
     if frame.mask is None:
         return None

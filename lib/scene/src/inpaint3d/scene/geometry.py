@@ -46,12 +46,6 @@ def ray_box(
     return np.where(hit, np.maximum(low, 0.0), np.inf), np.where(hit, high, np.inf), hit
 
 
-def inside_box(points: ArrayLike, centre: ArrayLike, size: ArrayLike, yaw_deg: float = 0.0) -> NDArray[np.bool_]:
-    """Whether points [*n, 3] lie in a box turned about z."""
-    local = (np.asarray(points, np.float64) - np.asarray(centre, np.float64)) @ rotation_about_z(-yaw_deg).T
-    return np.all(np.abs(local) <= np.asarray(size, np.float64) / 2, -1)
-
-
 def rotation_about_z(degrees: float) -> Floats:
     """Counter-clockwise seen from +z, [3, 3]."""
     c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
@@ -98,25 +92,6 @@ class Similarity:
     def matrix(self) -> Floats:
         """[3, 4] with the scale in its left part: target = M[:, :3] @ source + M[:, 3]."""
         return np.concatenate([self.scale * self.rotation, self.translation[:, None]], 1)
-
-
-def align_points(source: ArrayLike, target: ArrayLike) -> Similarity:
-    """Least-squares similarity that takes `source` to `target`, both [n, 3] (Umeyama, PAMI 1991, eqs. 40-42).
-
-    ValueError for fewer than three points, or all on one spot.
-    """
-    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
-    if len(source) < 3:
-        raise ValueError(f"{len(source)} points fix no similarity; give at least 3")
-    mean_s, mean_t = source.mean(0), target.mean(0)
-    spread = np.sum((source - mean_s) ** 2)
-    if spread == 0:
-        raise ValueError("all source points are on one spot")
-    u, singular, vt = np.linalg.svd((target - mean_t).T @ (source - mean_s))
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ np.diag(sign) @ vt
-    scale = float(np.sum(singular * sign) / spread)
-    return Similarity(scale, rotation, mean_t - scale * rotation @ mean_s)
 
 
 def nearest_point_to_axes(

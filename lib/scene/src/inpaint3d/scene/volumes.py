@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.contracts.models.base import Vector3
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.geometry import inside_box, ray_box, ray_sphere
+from inpaint3d.scene.geometry import ray_box, ray_sphere
 
 Bools = NDArray[np.bool_]
 
@@ -33,16 +33,6 @@ def volume_mask(camera: Camera, primitive: Primitive) -> Bools:
     else:
         *_, hit = ray_box(origins, directions, primitive.centre, primitive.size, primitive.yaw_deg)
     return ~hit if primitive.inverted else hit
-
-
-def inside_volume(points: ArrayLike, primitive: Primitive) -> Bools:
-    """Whether points [*n, 3] are in the hole."""
-    if primitive.kind == "sphere":
-        offset = np.asarray(points, np.float64) - np.asarray(primitive.centre)
-        held = np.sum(offset**2, -1) <= (primitive.size[0] / 2) ** 2
-    else:
-        held = inside_box(points, primitive.centre, primitive.size, primitive.yaw_deg)
-    return ~held if primitive.inverted else held
 
 
 def _vector(values: ArrayLike) -> Vector3:

@@ -13,13 +13,9 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.backends import reference
-from inpaint3d.radiance.backends.reference import Level
+from inpaint3d.radiance.backends.reference import AdamStep, Level
 
 Name = Literal["reference", "native", "compiled"]
-OPERATIONS = (
-    "levels_of", "hash_encode", "mlp", "colours", "composite", "grid_histogram", "grid_learn", "resample", "unit_cube",
-    "interlevel", "adam_step",
-)  # fmt: skip
 
 
 @runtime_checkable
@@ -58,19 +54,7 @@ class Backend(Protocol):
     @staticmethod
     def interlevel(ends: Tensor, weights: Tensor, other_ends: Tensor, other_weights: Tensor) -> Tensor: ...
     @staticmethod
-    def adam_step(
-        param: Tensor,
-        grad: Tensor,
-        m: Tensor,
-        v: Tensor,
-        step: int,
-        lr: float,
-        beta1: float,
-        beta2: float,
-        eps: float,
-        decay: float = 0.0,
-        sparse: bool = False,
-    ) -> int: ...
+    def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, how: AdamStep) -> int: ...
 
 
 def select(device: torch.device | str, backend: Name | None = None) -> Backend:
@@ -92,7 +76,7 @@ def _load(backend: Name | None, device_type: str) -> Backend:
             module: Any = importlib.import_module(f"{__name__}.{backend}")
         except ImportError:
             return cast(Backend, reference)
-        return cast(Backend, module if backend == "native" or module.works(device_type) else reference)
+        return cast(Backend, module if backend == "native" or module.can_compile(device_type) else reference)
     return cast(Backend, importlib.import_module(f"{__name__}.{backend}"))
 
 

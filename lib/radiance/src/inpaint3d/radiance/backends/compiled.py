@@ -12,8 +12,8 @@ from inpaint3d.radiance.backends import reference
 from inpaint3d.radiance.backends.reference import Level, adam_step, colours, grid_learn, levels_of
 
 __all__ = [
-    "Level", "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode", "interlevel",
-    "levels_of", "mlp", "resample", "unit_cube", "works",
+    "Level", "adam_step", "can_compile", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode",
+    "interlevel", "levels_of", "mlp", "resample", "unit_cube",
 ]  # fmt: skip
 
 # Rays are as many as a patch or a photo has: their number is no constant.
@@ -27,14 +27,14 @@ grid_histogram = torch.compile(reference.grid_histogram, dynamic=True)
 
 
 @cache
-def works(device_type: str) -> bool:
+def can_compile(device_type: str) -> bool:
     """Whether this machine can compile for a device: images that ship no compiler cannot. Tries it, once."""
     try:
-        torch.compile(_something)(torch.zeros(8, device=device_type))
+        torch.compile(_try_out)(torch.zeros(8, device=device_type))
     except RuntimeError:  # every error of torch.compile is one
         return False
     return True
 
 
-def _something(x: torch.Tensor) -> torch.Tensor:
+def _try_out(x: torch.Tensor) -> torch.Tensor:
     return x.sin() + 1

@@ -16,6 +16,7 @@ from torch import Tensor
 from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
+from inpaint3d.radiance.backends.reference import AdamStep
 from inpaint3d.radiance.memory import GradientMemory
 
 __all__ = [
@@ -24,7 +25,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def supported(*tensors: Tensor) -> bool:
+def are_supported(*tensors: Tensor) -> bool:
     """True where all tensors are of the kind that the kernels take."""
     return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
 
@@ -62,7 +63,7 @@ def hash_encode(
 ) -> Float[Tensor, "n {len(levels)}*c"]:
     """`reference.hash_encode`; more than 8 channels and points that want a gradient go there."""
     wants_points = torch.is_grad_enabled() and points.requires_grad
-    if wants_points or table.shape[1] > 8 or not supported(points, table):
+    if wants_points or table.shape[1] > 8 or not are_supported(points, table):
         return reference.hash_encode(points, table, levels)
     return _HashEncode.apply(points.detach(), table, levels)
 
@@ -122,7 +123,7 @@ def mlp(
     """`reference.mlp`; hidden activations are computed again in the backward pass, not kept. Long runs go there."""
     tensors = (*weights, *(() if starts is None else (starts,)))
     long = starts is not None and len(x) > kernels.MOST_RUN * len(starts)
-    if not weights or long or not supported(x, *tensors):
+    if not weights or long or not are_supported(x, *tensors):
         return reference.mlp(x, weights, starts)
     return _Mlp.apply(x, starts, *weights)
 
@@ -167,7 +168,7 @@ def colours(
     specular_scale: float = 1.0,
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
     """`reference.colours`."""
-    if not supported(*(tensor for tensor in (diffuse, specular, exposure) if tensor is not None)):
+    if not are_supported(*(tensor for tensor in (diffuse, specular, exposure) if tensor is not None)):
         return reference.colours(diffuse, specular, exposure, specular_scale)
     return _Colours.apply(diffuse, specular, exposure, specular_scale)
 
@@ -185,7 +186,7 @@ def grid_histogram(
 ) -> Float[Tensor, "r ends-1"]:
     """`reference.grid_histogram`."""
     arrays = [tensor.detach().contiguous() for tensor in (density, origins, directions, tdist)]
-    if not supported(*arrays):
+    if not are_supported(*arrays):
         return reference.grid_histogram(density, side, origins, directions, tdist, contraction, bound, floor)
     out = tdist.new_empty(len(origins), len(tdist) - 1)
     cells, starts, towards, ends = (array.numpy() for array in arrays)
@@ -205,7 +206,7 @@ def grid_learn(
     memory: float,
 ) -> None:
     """`reference.grid_learn`; a density that is not contiguous goes there, and a NaN is not seen here."""
-    if not supported(density, cube, seen) or not density.is_contiguous():
+    if not are_supported(density, cube, seen) or not density.is_contiguous():
         reference.grid_learn(density, side, cube, seen, memory)
         return
     cube, seen = (tensor.detach().contiguous() for tensor in (cube, seen))
@@ -252,7 +253,7 @@ def composite(
 ) -> tuple[Float[Tensor, "r s"], Float[Tensor, "r 3"], Float[Tensor, " r"], Float[Tensor, " r"]]:
     """`reference.composite`; a tdist that wants a gradient goes there."""
     wants_tdist = torch.is_grad_enabled() and tdist.requires_grad
-    if wants_tdist or not supported(density, rgb, tdist):
+    if wants_tdist or not are_supported(density, rgb, tdist):
         return reference.composite(density, rgb, tdist)
     return _Composite.apply(density, rgb, tdist.detach())
 
@@ -266,7 +267,7 @@ def resample(
 ) -> Float[Tensor, "r {count}+1"]:
     """`reference.resample`."""
     arrays = [tensor.detach().contiguous() for tensor in (sdist, weights, *(() if jitter is None else (jitter,)))]
-    if count < 2 or not supported(*arrays):
+    if count < 2 or not are_supported(*arrays):
         return reference.resample(sdist, weights, count, jitter)
     out = sdist.new_empty(sdist.shape[0], count + 1)
     sdist, weights = arrays[:2]
@@ -283,7 +284,7 @@ def resample(
 def unit_cube(points: Float[Tensor, "n 3"], contraction: bool, bound: float) -> Float[Tensor, "n 3"]:
     """`reference.unit_cube`; no contraction, and points that want a gradient, go there."""
     wants_points = torch.is_grad_enabled() and points.requires_grad
-    if not contraction or wants_points or not supported(points):
+    if not contraction or wants_points or not are_supported(points):
         return reference.unit_cube(points, contraction, bound)
     points = points.detach().contiguous()
     out = torch.empty_like(points)
@@ -330,7 +331,7 @@ def interlevel(
     other_weights: Float[Tensor, "r m-1"],
 ) -> Float[Tensor, " r"]:
     """`reference.interlevel`."""
-    if not supported(ends, weights, other_ends, other_weights):
+    if not are_supported(ends, weights, other_ends, other_weights):
         return reference.interlevel(ends, weights, other_ends, other_weights)
     return _Interlevel.apply(ends.detach(), weights.detach(), other_ends.detach(), other_weights)
 
@@ -341,32 +342,20 @@ def adam_step(
     grad: Float[Tensor, "*shape"],
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
-    step: int,
-    lr: float,
-    beta1: float,
-    beta2: float,
-    eps: float,
-    decay: float = 0.0,
-    sparse: bool = False,
+    how: AdamStep,
 ) -> int:
     """`reference.adam_step` in one pass; denormal moments become zero.
 
     param, m and v that are not contiguous go to the reference.
     """
     in_place = (param, m, v)
-    if not supported(grad, *in_place) or not all(tensor.is_contiguous() for tensor in in_place):
-        return reference.adam_step(param, grad, m, v, step, lr, beta1, beta2, eps, decay, sparse)
+    if not are_supported(grad, *in_place) or not all(tensor.is_contiguous() for tensor in in_place):
+        return reference.adam_step(param, grad, m, v, how)
     return kernels.adam(
         param.detach().view(-1).numpy(),
         grad.detach().contiguous().view(-1).numpy(),
         m.view(-1).numpy(),
         v.view(-1).numpy(),
-        step=step,
-        lr=lr,
-        beta1=beta1,
-        beta2=beta2,
-        eps=eps,
-        decay=decay,
-        sparse=sparse,
+        **how._asdict(),
         threads=torch.get_num_threads(),
     )

@@ -1,6 +1,7 @@
 """The readable truth of every heavy operation; `native` must match it forward and backward."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -12,8 +13,8 @@ from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.volume import alpha_weights
 
 __all__ = [
-    "Level", "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode", "interlevel",
-    "levels_of", "mlp", "resample", "unit_cube",
+    "AdamStep", "Level", "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode",
+    "interlevel", "levels_of", "mlp", "resample", "unit_cube",
 ]  # fmt: skip
 
 # The map of colours reaches a little past [0, 1], so that black and white are not at infinity (Mip-NeRF).
@@ -90,14 +91,14 @@ def colours(
     run of n / m points.
     """
 
-    def shown(logits: Tensor) -> Tensor:
+    def to_colour(logits: Tensor) -> Tensor:
         if exposure is not None:
             runs = logits.reshape(len(exposure), len(logits) // max(len(exposure), 1), 3)
             logits = torch.addcmul(exposure[:, None, 3:], runs, torch.exp(exposure[:, None, :3])).flatten(0, 1)
         return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
 
     both = diffuse if specular is None else torch.add(diffuse, specular, alpha=specular_scale)
-    return shown(both), shown(diffuse)
+    return to_colour(both), to_colour(diffuse)
 
 
 @torch.no_grad()
@@ -216,25 +217,34 @@ def outer_measure(
     return (reached.gather(1, high) - reached.gather(1, low)).clamp(min=0)
 
 
+class AdamStep(NamedTuple):
+    """How Adam moves a parameter at one step; `step` counts from 1.
+
+    decay: what is descended has decay / 2 * |param|^2 added to it. sparse: numbers whose gradient is 0 are left alone.
+    """
+
+    step: int
+    lr: float
+    beta1: float
+    beta2: float
+    eps: float
+    decay: float = 0.0
+    sparse: bool = False
+
+
 @torch.no_grad()
 def adam_step(
     param: Float[Tensor, "*shape"],
     grad: Float[Tensor, "*shape"],
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
-    step: int,
-    lr: float,
-    beta1: float,
-    beta2: float,
-    eps: float,
-    decay: float = 0.0,
-    sparse: bool = False,
+    how: AdamStep,
 ) -> int:
-    """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v; `step` counts from 1.
+    """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v.
 
-    decay: what is descended has decay / 2 * |param|^2 added to it. Numbers whose gradient is not finite are left alone,
-    moments too: how many is returned. sparse: so are those whose gradient is 0, without being counted.
+    Numbers whose gradient is not finite are left alone, moments too: how many is returned.
     """
+    step, lr, beta1, beta2, eps, decay, sparse = how
     finite = torch.isfinite(grad)
     moves = finite & (grad != 0) if sparse else finite
     slope = grad + decay * param

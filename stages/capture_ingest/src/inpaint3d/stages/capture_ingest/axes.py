@@ -12,14 +12,14 @@ OPENCV_FROM_LLFF = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
 
 def from_opengl(world_from_cam: ArrayLike):
     """Pose of an OpenGL camera (y up, z backwards), 3x4 or 4x4, as OpenCV's."""
-    return _turned(world_from_cam, OPENCV_FROM_OPENGL)
+    return _turn(world_from_cam, OPENCV_FROM_OPENGL)
 
 
 def from_llff(world_from_cam: ArrayLike):
     """Pose of an LLFF camera (columns down, right, backwards) as OpenCV's."""
-    return _turned(world_from_cam, OPENCV_FROM_LLFF)
+    return _turn(world_from_cam, OPENCV_FROM_LLFF)
 
 
-def _turned(world_from_cam: ArrayLike, turn: NDArray[np.float64]):
+def _turn(world_from_cam: ArrayLike, turn: NDArray[np.float64]):
     pose = np.asarray(world_from_cam, np.float64)[:3]
     return as_pose(np.concatenate([pose[:, :3] @ turn, pose[:, 3:]], 1))

@@ -21,14 +21,14 @@ def find(root: Path, name: str | None, count: int, rows: int, folder: Path) -> F
 
     Raises BadInputError where the clip is not there, or there are several and none is named.
     """
-    clip = _chosen(read_clips(root), name)
+    clip = _choose_clip(read_clips(root), name)
     frames = [_frame(frame, rows, folder) for frame in clip.frames[:count]]
     left = len(clip.frames) - len(frames)
     notes = [f"clip {clip.name}: its first {len(frames)} frames, {left} more are left out"] if left else []
     return Found("realestate10k", frames, notes=notes)
 
 
-def _chosen(clips: list[Clip], name: str | None) -> Clip:
+def _choose_clip(clips: list[Clip], name: str | None) -> Clip:
     names = [clip.name for clip in clips]
     chosen = clips if name is None else [clip for clip in clips if clip.name == name]
     if len(chosen) != 1:

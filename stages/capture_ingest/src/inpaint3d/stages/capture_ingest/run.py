@@ -36,7 +36,7 @@ def _ingest(raw: Path, config: Config, outputs: Outputs, ctx: Context) -> None:
         ctx.log(note)
     if len(found.frames) < 2:
         raise BadInputError(
-            f"{len(found.frames)} pictures in {_shown(raw)} ({found.layout} layout); "
+            f"{len(found.frames)} pictures in {_describe_folder(raw)} ({found.layout} layout); "
             "a scene needs at least 2, better 20 or more that overlap by half"
         )
     total = len(found.frames) + len(found.truth)
@@ -86,11 +86,11 @@ def _files(raw: Path) -> list[Path]:
 def _only_video(raw: Path) -> Path:
     videos = [p for p in _files(raw) if p.suffix.lower() in video.SUFFIXES]
     if len(videos) != 1:
-        raise BadInputError(f"{len(videos)} videos in {_shown(raw)}; give exactly one")
+        raise BadInputError(f"{len(videos)} videos in {_describe_folder(raw)}; give exactly one")
     return videos[0]
 
 
-def _shown(raw: Path) -> str:
+def _describe_folder(raw: Path) -> str:
     names = [p.name for p in sorted(raw.iterdir())] if raw.is_dir() else []
     return f"a folder holding {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}" if names else "an empty folder"
 
@@ -111,7 +111,7 @@ def _carry(frame: FoundFrame, folder: Path, index: int, total: int, ctx: Context
     mask = None
     if frame.mask is not None:
         mask = f"masks/{frame.name}.png"
-        write_mask(folder / mask, fitted_mask(frame.mask, width, height))
+        write_mask(folder / mask, fit_mask(frame.mask, width, height))
     ctx.progress(index + 1, total, frame.name)
     return CapturedFrame(
         name=frame.name,
@@ -124,7 +124,7 @@ def _carry(frame: FoundFrame, folder: Path, index: int, total: int, ctx: Context
     )
 
 
-def fitted_mask(path: Path, width: int, height: int) -> np.ndarray:
+def fit_mask(path: Path, width: int, height: int) -> np.ndarray:
     """The mask at its picture's size. BadInputError where its aspect ratio is another: it is of another picture."""
     mask = read_mask(path)
     h, w = mask.shape

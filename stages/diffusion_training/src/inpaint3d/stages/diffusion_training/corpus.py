@@ -62,13 +62,13 @@ def write_corpus(folder: Path, out: Path, *, held_out: float = 0.1, every: int =
     if out.exists():
         raise BadInputError(f"{out} is there already; remove it or name another folder")
     found = list(
-        _clip_frames(folder, held_out, every) if next(camera_files(folder), None) else _loose(folder, held_out)
+        _clip_frames(folder, held_out, every) if next(camera_files(folder), None) else _loose_pictures(folder, held_out)
     )
     if not found:
         raise BadInputError(f"no pictures in {folder}; give a folder of pictures, or RealEstate10k with its frames")
     partial = out.with_name(f"{out.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
-    pictures = tuple(_carried(picture, partial) for picture in found)
+    pictures = tuple(_copy_picture(picture, partial) for picture in found)
     manifest = build_manifest(partial, "image-corpus", ImageCorpus(pictures=pictures))
     (partial / MANIFEST).write_bytes(canonical_json(manifest.dump()))
     partial.rename(out)
@@ -82,7 +82,7 @@ def _clip_frames(folder: Path, held_out: float, every: int) -> Iterator[Found]:
             yield Found(f"{clip.name}_{frame.image.stem}", frame.image, clip.video, split)
 
 
-def _loose(folder: Path, held_out: float) -> Iterator[Found]:
+def _loose_pictures(folder: Path, held_out: float) -> Iterator[Found]:
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.suffix.lower() in PICTURE_SUFFIXES):
         parts = path.relative_to(folder).parts
         scene = parts[0]
@@ -95,7 +95,7 @@ def _split(scene: str, held_out: float) -> Split:
     return "test" if share < held_out else "train"
 
 
-def _carried(picture: Found, root: Path) -> ImageCorpus.Picture:
+def _copy_picture(picture: Found, root: Path) -> ImageCorpus.Picture:
     read_image(picture.path)  # a damaged one is found here, not after a night of training
     path = f"images/{picture.name}{picture.path.suffix.lower()}"
     if (root / path).exists():

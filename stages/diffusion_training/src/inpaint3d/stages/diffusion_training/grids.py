@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import torch
 
-from inpaint3d.diffusion.judging import grid, mean_estimate
+from inpaint3d.diffusion.judging import draw_grid, mean_estimate
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.samplers import inpaint
 from inpaint3d.diffusion.training import Batch
@@ -21,7 +21,7 @@ def held_out_grid(path: Path, prior: InpaintingPrior, exam: Batch, steps: int, g
     """Rows of hole, sample, expectation, truth; pixels that nobody may see are grey in the truth too."""
     image, hole = exam.image[:ROWS], exam.hole[:ROWS]
     sample = inpaint(prior, image, hole, steps=steps, generator=generator)
-    write_png(path, grid(image, hole, sample, mean_estimate(prior, image, hole, generator)))
+    write_png(path, draw_grid(image, hole, sample, mean_estimate(prior, image, hole, generator)))
 
 
 def own_holes_grid(
@@ -33,7 +33,7 @@ def own_holes_grid(
     image = torch.from_numpy(np.stack([colour for colour, _ in squares])).permute(0, 3, 1, 2).contiguous()
     hole = torch.from_numpy(np.stack([unknown for _, unknown in squares]))[:, None].float()
     sample = inpaint(prior, image, hole, steps=steps, generator=generator)
-    write_png(path, grid(image, hole, sample, mean_estimate(prior, image, hole, generator)))
+    write_png(path, draw_grid(image, hole, sample, mean_estimate(prior, image, hole, generator)))
 
 
 def _square_round_hole(picture: KnownPicture, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ from inpaint3d.stages.diffusion_training.config import MaskMix
 HELD_OUT_EVERY = 8
 """Every so many training frames stand in as held-out ones where the capture has no test frames."""
 TRIES = 6
-MOST_UNKNOWN = 0.5
+MAX_UNKNOWN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ def known_pictures(
     if not held_out:
         held_out = training[::HELD_OUT_EVERY]
         training = [p for i, p in enumerate(training) if i % HELD_OUT_EVERY] or training
-    if not training or min(float(p.unknown.mean()) for p in training) > MOST_UNKNOWN:
+    if not training or min(float(p.unknown.mean()) for p in training) > MAX_UNKNOWN:
         raise BadInputError(
             f"{len(training)} training frames, none with half of its pixels known: a prior cannot be learnt from "
             "them; use a smaller mask, or wire a pretrained prior and set steps to 0"
@@ -140,7 +140,7 @@ class Cropper:
             share = float(unknown.mean())
             if best is None or share < best[0]:
                 best = (share, colour, unknown)
-            if share <= MOST_UNKNOWN:
+            if share <= MAX_UNKNOWN:
                 break
         assert best is not None  # noqa: S101 - TRIES is at least 1
         return best[1], best[2]

@@ -65,7 +65,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
             samples=("samples/held_out.png", "samples/own_holes.png"),
             steps=state.step,
             seed=ctx.seed,
-            trained_on=_described(training, learnt_too),
+            trained_on=_describe_pictures(training, learnt_too),
             start=pretrained.digest if pretrained else "scratch",
             held_out=after | {f"start_{name}": value for name, value in before.items()},
             non_finite=dict(ctx.non_finite),
@@ -97,7 +97,7 @@ def runtime_of(config: Config, folder: Path, spec: PriorSpec) -> dict[str, Any]:
     return {"onnx": path.name, "runtime": min(seconds, key=seconds.__getitem__), "query_seconds": seconds}
 
 
-def _described(training: list[KnownPicture], corpus: list[StoredPicture]) -> str:
+def _describe_pictures(training: list[KnownPicture], corpus: list[StoredPicture]) -> str:
     unknown = float(np.mean([p.unknown.mean() for p in training]))
     capture = (
         f"{len(training)} frames of the capture without the {unknown:.1%} of their pixels that are masked or missing"

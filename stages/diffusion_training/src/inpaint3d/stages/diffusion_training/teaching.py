@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import PriorSpec
-from inpaint3d.diffusion.judging import fills, hole_psnr
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.diffusion.judging import fill_each_way, hole_psnr
 from inpaint3d.diffusion.parallel import own_parts, rank
 from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
 from inpaint3d.diffusion.training import (
@@ -21,12 +21,12 @@ from inpaint3d.diffusion.training import (
     begin,
     denoising_loss,
     load_checkpoint,
+    rate_after_warm_up,
     save_checkpoint,
     step_generators,
     train_step,
-    warmed_up,
 )
-from inpaint3d.perception.lpips import enlarged, load
+from inpaint3d.perception.lpips import enlarge, load
 from inpaint3d.scene.image_io import Mask
 from inpaint3d.stages.diffusion_training.ahead import MadeAhead
 from inpaint3d.stages.diffusion_training.config import Config
@@ -93,7 +93,7 @@ def train(
         lambda step: _parts(lesson, config, ctx.seed, step), range(state.step, config.steps), threads=1, ahead=AHEAD
     )
     for losses in steps:
-        rate = warmed_up(peak, state.step, config.steps, config.warm_up)
+        rate = rate_after_warm_up(peak, state.step, config.steps, config.warm_up)
         loss = train_step(state, *losses, learning_rate=rate, ema=config.ema)
         if not np.isfinite(loss):
             ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
@@ -114,12 +114,12 @@ def _parts(lesson: Lesson, config: Config, seed: int, step: int) -> list[Callabl
     losses: list[Callable[[InpaintingPrior], Tensor]] = []
     for part in own_parts(config.parts):
         rng, generator = step_generators(seed, step, part)
-        batch = lesson.cropper.batch(_drawn(lesson, config, rng), rng)
+        batch = lesson.cropper.batch(_draw_pictures(lesson, config, rng), rng)
         losses.append(partial(denoising_loss, batch=batch, generator=generator, t_range=config.t_range))
     return losses
 
 
-def _drawn(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[Picture]:
+def _draw_pictures(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[Picture]:
     """Pictures of one step: the capture's, and the corpus's share where there is one."""
     from_corpus = rng.random(config.batch) < config.corpus_share
     return [
@@ -144,7 +144,7 @@ def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, floa
         return {}
     image, hole, region = exam.image[taught], exam.hole[taught], region[taught]
     figures = {"crops": float(len(image))}
-    for name, filled in fills(prior, image, hole, generator, steps=config.sample_steps).items():
+    for name, filled in fill_each_way(prior, image, hole, generator, steps=config.sample_steps).items():
         figures[f"hole_psnr_{name}"] = float(hole_psnr(filled, image, region).mean())
         figures[f"lpips_{name}"] = _lpips(torch.where(region > 0, filled, image), image)
     return figures
@@ -152,5 +152,5 @@ def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, floa
 
 @torch.no_grad()
 def _lpips(filled: Tensor, truth: Tensor) -> float:
-    pairs = zip(enlarged(filled).split(1), enlarged(truth).split(1), strict=True)
+    pairs = zip(enlarge(filled).split(1), enlarge(truth).split(1), strict=True)
     return float(np.mean([float(load("vgg").difference(a, b)) for a, b in pairs]))

@@ -7,7 +7,7 @@ from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.morphology import grow_square
 from inpaint3d.scene.reprojection import reproject_mask, sample_bilinear, warp_image
-from inpaint3d.stages.evaluation.photos import Photo, apart
+from inpaint3d.stages.evaluation.photos import Photo, camera_distance
 
 LATTICE = 4  # pixels between the places where sparse depth is interpolated
 
@@ -69,7 +69,7 @@ def nearest_photo_warped(camera: Camera, depth: ArrayLike, photos: list[Photo], 
     """
     out = np.tile(np.asarray(fallback, np.float32), (camera.height, camera.width, 1))
     missing = np.ones((camera.height, camera.width), bool)
-    for photo in sorted(photos, key=lambda p: apart(camera, p.camera)):
+    for photo in sorted(photos, key=lambda p: camera_distance(camera, p.camera)):
         if not missing.any():
             break
         known, _ = reproject_mask(photo.known, photo.camera, None, camera, depth)

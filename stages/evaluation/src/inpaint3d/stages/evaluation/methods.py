@@ -40,7 +40,7 @@ class Method:
 
     def render(self, photo: Photo, block: int, box: Box | None = None) -> Maps:
         """Colour rgb [h, w, 3], opacity and depth along the axis [h, w]; of a box, or the whole view."""
-        camera = photo.camera if box is None else cropped(photo.camera, box)
+        camera = photo.camera if box is None else crop_camera(photo.camera, box)
         maps = render_view(self.field, camera, block=block, view=photo.exposure)
         return {name: maps[name] for name in ("rgb", "opacity", "depth")}
 
@@ -79,7 +79,7 @@ def load_methods(artifacts: list[Artifact[RadianceFieldArtifact]], device: str) 
     return methods
 
 
-def cropped(camera: Camera, box: Box) -> Camera:
+def crop_camera(camera: Camera, box: Box) -> Camera:
     """The camera of a part of its picture: the same rays, counted from the box's corner."""
     return replace(camera, cx=camera.cx - box.x0, cy=camera.cy - box.y0, width=box.width, height=box.height)
 

@@ -7,8 +7,8 @@ Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 PSNR_CEILING_DB = 100.0
-SSIM_SIGMA = 1.5
-SSIM_RADIUS = 5  # an 11x11 window
+WINDOW = 11
+SSIM_RADIUS = WINDOW // 2
 
 
 def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
@@ -17,7 +17,7 @@ def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
     Equal pictures would give infinity, which no table holds: the value stops at 100 dB (a mean square of
     1e-10). Raises ValueError where the region is empty or the shapes differ.
     """
-    squared = np.square(_checked(image, truth).astype(np.float64) - truth)
+    squared = np.square(_check(image, truth).astype(np.float64) - truth)
     if region is not None:
         squared = squared[region]
     if squared.size == 0:
@@ -31,20 +31,18 @@ def ssim_map(image: Image, truth: Image) -> NDArray[np.float64]:
     Wang et al. 2004: Gaussian window of sigma 1.5 cut to 11x11, K1 = 0.01, K2 = 0.03, range 1, population
     covariance. Borders are mirrored.
     """
-    from skimage.filters import gaussian
+    from skimage.metrics import structural_similarity
 
-    def blur(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        truncate = SSIM_RADIUS / SSIM_SIGMA
-        return gaussian(values, SSIM_SIGMA, mode="reflect", truncate=truncate, channel_axis=-1, preserve_range=True)
-
-    x, y = _checked(image, truth).astype(np.float64), truth.astype(np.float64)
-    c1, c2 = 0.01**2, 0.03**2
-    mean_x, mean_y = blur(x), blur(y)
-    variance_x, variance_y = blur(x * x) - mean_x**2, blur(y * y) - mean_y**2
-    covariance = blur(x * y) - mean_x * mean_y
-    luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
-    structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
-    return (luminance * structure).mean(-1)
+    x, y = _check(image, truth).astype(np.float64), truth.astype(np.float64)
+    # scikit-image refuses a picture smaller than its window: it is given what it would have mirrored beyond the border.
+    rows, columns = ((SSIM_RADIUS if side < WINDOW else 0,) * 2 for side in truth.shape[:2])
+    x, y = (np.pad(picture, (rows, columns, (0, 0)), mode="symmetric") for picture in (x, y))
+    found = structural_similarity(
+        x, y, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1.0, channel_axis=-1, full=True
+    )
+    values = np.asarray(found[1])
+    own = np.s_[rows[0] : len(values) - rows[0], columns[0] : values.shape[1] - columns[0]]
+    return values[own].mean(-1)
 
 
 def ssim(image: Image, truth: Image, region: Mask | None = None) -> float:
@@ -61,7 +59,7 @@ def ssim(image: Image, truth: Image, region: Mask | None = None) -> float:
     return float(inner.mean() if inner.size else values.mean())
 
 
-def _checked(image: Image, truth: Image) -> Image:
+def _check(image: Image, truth: Image) -> Image:
     if image.shape != truth.shape or image.ndim != 3:
         raise ValueError(f"pictures to compare are {image.shape} and {truth.shape}; both must be the same [h, w, 3]")
     return image

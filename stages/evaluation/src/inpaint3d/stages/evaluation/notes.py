@@ -19,7 +19,7 @@ _LIMITS = (
 )
 
 
-def weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: bool) -> list[str]:
+def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: bool) -> list[str]:
     """Sentences on what is weak for the method `first`, then the limits of the figures."""
     found: list[str] = []
     box = _values(done, names.BOX, "psnr")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import MaskSet, MaskView
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.radiance.artifact import reduced
+from inpaint3d.radiance.artifact import reduce_camera
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
 from inpaint3d.scene.image_io import Image, Mask, read_mask
@@ -42,20 +42,20 @@ def load_photo(view: View, mask: Mask | None, longest_side: int) -> Photo:
             f"the mask of view {view.name} is {mask.shape[1]}x{mask.shape[0]} but its frame is "
             f"{full[1]}x{full[0]}; re-run mask-authoring on these frames"
         )
-    camera = reduced(view.camera, longest_side)
+    camera = reduce_camera(view.camera, longest_side)
     size = (camera.height, camera.width)
-    coverage, unseen = (area_resized(m.astype(np.float32), size) for m in (mask, ~view.valid()))
+    coverage, unseen = (resize_by_area(m.astype(np.float32), size) for m in (mask, ~view.valid()))
     return Photo(
         name=view.name,
         split=view.split,
         camera=camera,
-        image=area_resized(view.image(), size),
+        image=resize_by_area(view.image(), size),
         hole=coverage >= 0.5,
         known=(coverage < 1e-6) & (unseen < 1e-6),
     )
 
 
-def exposed(photos: Sequence[Photo]) -> list[Photo]:
+def assign_exposures(photos: Sequence[Photo]) -> list[Photo]:
     """The photos, each with the exposure of its own training view or, kept out of training, of the nearest one.
 
     The exposure of a held-out photo is not the field's to know; that of its neighbour is, as for a warped photo.
@@ -63,17 +63,17 @@ def exposed(photos: Sequence[Photo]) -> list[Photo]:
     train = [p.camera for p in photos if p.split == "train"]
 
     def nearest(camera: Camera) -> int | None:
-        return min(range(len(train)), key=lambda i: apart(camera, train[i]), default=None)
+        return min(range(len(train)), key=lambda i: camera_distance(camera, train[i]), default=None)
 
     return [replace(photo, exposure=nearest(photo.camera)) for photo in photos]
 
 
-def apart(a: Camera, b: Camera) -> float:
+def camera_distance(a: Camera, b: Camera) -> float:
     """Distance of the centres plus the turn between the axes: a near camera that looks away is not near."""
     return float(np.linalg.norm(a.centre - b.centre) + 1.0 - a.forward @ b.forward)
 
 
-def area_resized(values: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+def resize_by_area(values: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
     """[h, w] or [h, w, c] at another size (height, width), each pixel the mean of the area that it covers."""
     from skimage.transform import resize_local_mean
 

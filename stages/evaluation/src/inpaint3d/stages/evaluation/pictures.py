@@ -20,7 +20,7 @@ _RAMP = np.array(
 )  # fmt: skip
 
 
-def outlined(image: Image, mask: Mask) -> Image:
+def outline_hole(image: Image, mask: Mask) -> Image:
     """The picture [h, w, 3] with the mask [h, w] tinted and its border drawn."""
     thickness = max(1, round(min(mask.shape) / 160))
     border = ring_around(mask, thickness)
@@ -28,12 +28,12 @@ def outlined(image: Image, mask: Mask) -> Image:
     return np.where(border[..., None], OUTLINE, tinted).astype(np.float32)
 
 
-def hidden(image: Image, mask: Mask) -> Image:
+def hide_hole(image: Image, mask: Mask) -> Image:
     """The picture with the mask in the outline's colour: what the method may look at."""
     return np.where(mask[..., None], OUTLINE, image).astype(np.float32)
 
 
-def coloured_depth(depth: NDArray[np.float32]) -> Image:
+def colour_depth(depth: NDArray[np.float32]) -> Image:
     """A depth map [h, w] as a picture; the ramp is even in inverse depth between its 2 % and 98 % quantiles.
 
     Depth that is not positive is drawn in mid grey.
@@ -50,7 +50,7 @@ def coloured_depth(depth: NDArray[np.float32]) -> Image:
     return np.where(valid[..., None], colours, 0.5).astype(np.float32)
 
 
-def side_by_side(panels: list[Image]) -> Image:
+def set_side_by_side(panels: list[Image]) -> Image:
     """Panels of one size in a row, with white between them. Pixels that are not finite are drawn in magenta."""
     height = panels[0].shape[0]
     gap = np.ones((height, GAP, 3), np.float32)
@@ -59,7 +59,7 @@ def side_by_side(panels: list[Image]) -> Image:
     return np.concatenate(row, axis=1)
 
 
-def showing_most(holes: list[Mask]) -> int:
+def choose_clearest_view(holes: list[Mask]) -> int:
     """Index of the view whose hole is largest among those that lie wholly inside the picture; else the largest."""
     sizes = [int(hole.sum()) for hole in holes]
     whole = [

@@ -25,7 +25,7 @@ from inpaint3d.stages.evaluation.frechet import frechet_distance, kernel_distanc
 from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures, reprojection_figures
 from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
 from inpaint3d.stages.evaluation.metrics import psnr, ssim
-from inpaint3d.stages.evaluation.photos import Photo, apart
+from inpaint3d.stages.evaluation.photos import Photo, camera_distance
 from inpaint3d.stages.evaluation.scores import Scores, metric
 
 BOX = "hole-box-vs-truth"
@@ -74,7 +74,7 @@ class Bench:
         return not any(counts.values())
 
 
-def against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     """`hole-box-vs-truth` and `hole-only-vs-truth`: crops around the hole against views that show what is behind it."""
     config = bench.config
     crops: dict[str, list[Image]] = {}
@@ -96,7 +96,7 @@ def against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         for label, picture in pictures.items():
             crop = np.ascontiguousarray(picture[box.within(outer).slices])
             crops.setdefault(label, []).append(crop)
-            bench.scores.add(BOX, label, photo.name, compared(crop, truth, perceptual=config.perceptual))
+            bench.scores.add(BOX, label, photo.name, compare_pictures(crop, truth, perceptual=config.perceptual))
             figures = {"psnr": psnr(crop, truth, hole)}
             if (share := gradient_share(crop, truth, hole)) is not None:
                 figures["gradient_share"] = share
@@ -111,7 +111,7 @@ def against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     ]
 
 
-def held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayLike) -> list[Protocol]:
+def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayLike) -> list[Protocol]:
     """`held-out-known-pixels`: test views outside the mask, beside two baselines that learn nothing."""
     average = mean_colour(train)
     done = 0
@@ -129,7 +129,7 @@ def held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayL
         for label, picture in pictures.items():
             # Unknown pixels are made equal, so that windows and features that touch them see no difference there.
             shown = np.where(photo.known[..., None], picture, photo.image).astype(np.float32)
-            figures = compared(shown, photo.image, perceptual=bench.config.perceptual, region=photo.known)
+            figures = compare_pictures(shown, photo.image, perceptual=bench.config.perceptual, region=photo.known)
             bench.scores.add(HELD_OUT, label, photo.name, figures)
         done += 1
     if not done:
@@ -148,7 +148,7 @@ def held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayL
     ]
 
 
-def hole_statistics(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+def score_holes(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     """`hole-statistics`: what needs no truth: is the hole opaque, and is it as lively as its surround?"""
     done = 0
     for photo in photos:
@@ -180,14 +180,14 @@ def hole_statistics(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     ]
 
 
-def neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -> list[Protocol]:
+def score_neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -> list[Protocol]:
     """`neighbouring-views`: is what fills the hole the same thing from the next camera?"""
     done = 0
     for photo in photos:
         rest = [o for o in others if o.name != photo.name]
         if not photo.hole.any() or not rest:
             continue
-        neighbour = min(rest, key=lambda o: apart(photo.camera, o.camera))
+        neighbour = min(rest, key=lambda o: camera_distance(photo.camera, o.camera))
         here, there = ({m.label: bench.full_render(m, p) for m in bench.methods} for p in (photo, neighbour))
         if not (bench.usable(here, photo.name) and bench.usable(there, neighbour.name)):
             continue
@@ -214,7 +214,7 @@ def neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -
     ]
 
 
-def between_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     """`between-seeds`: how much fields that differ in their seed alone differ in the hole, each two of them."""
     first = bench.methods[0].artifact.metadata.label
     alike = {m.artifact.metadata.seed: m for m in bench.methods if m.artifact.metadata.label == first}
@@ -226,7 +226,9 @@ def between_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         if not pairs or box is None or not bench.usable(renders, photo.name):
             continue
         crops = {label: np.ascontiguousarray(maps["rgb"][box.slices]) for label, maps in renders.items()}
-        rows = {f"{a} | {b}": _apart(crops[a], crops[b], photo.hole[box.slices], bench.config) for a, b in pairs}
+        rows = {
+            f"{a} | {b}": _mean_difference(crops[a], crops[b], photo.hole[box.slices], bench.config) for a, b in pairs
+        }
         rows[EACH_PAIR] = {n: float(np.mean([f[n] for f in rows.values()])) for n in next(iter(rows.values()))}
         for label, figures in rows.items():
             bench.scores.add(VARIETY, label, photo.name, figures)
@@ -244,14 +246,16 @@ def between_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     ]
 
 
-def _apart(one: Image, other: Image, hole: np.ndarray, config: Config) -> dict[str, float]:
+def _mean_difference(one: Image, other: Image, hole: np.ndarray, config: Config) -> dict[str, float]:
     figures = {"colour_between": float(np.abs(one - other)[hole].mean())}
     if config.perceptual:
         figures["lpips_between"] = lpips.load("vgg").distance(one, other)
     return figures
 
 
-def compared(picture: Image, truth: Image, *, perceptual: bool, region: np.ndarray | None = None) -> dict[str, float]:
+def compare_pictures(
+    picture: Image, truth: Image, *, perceptual: bool, region: np.ndarray | None = None
+) -> dict[str, float]:
     """PSNR, SSIM and (where wanted) both LPIPS of one pair."""
     figures = {"psnr": psnr(picture, truth, region), "ssim": ssim(picture, truth, region)}
     if perceptual:

@@ -10,7 +10,7 @@ import jinja2
 
 from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.stages.evaluation.charts import Line, line_chart
-from inpaint3d.stages.evaluation.scores import KINDS, best
+from inpaint3d.stages.evaluation.scores import KINDS, find_best
 
 RUN_MARKER = "<!-- inpaint3d:run -->"
 STOPS = (0.25, 0.5, 0.75)
@@ -60,14 +60,14 @@ def write_report(path: Path, report: Report) -> None:
         tables=[_table(p) for p in report.protocols],
         chart=line_chart([Line(c.label, c.points) for c in report.curves], "training step", "held-out PSNR, dB"),
         stops=STOPS,
-        stopping=[row for curve in report.curves if (row := stopping_early(curve)) is not None],
-        embedded=_embedded,
+        stopping=[row for curve in report.curves if (row := cost_of_stopping_early(curve)) is not None],
+        embedded=_embed,
         run_marker=RUN_MARKER,
     )
     path.write_text(page, encoding="utf-8")
 
 
-def stopping_early(curve: Curve) -> tuple[str, list[float | None], float] | None:
+def cost_of_stopping_early(curve: Curve) -> tuple[str, list[float | None], float] | None:
     """(label, PSNR at 25, 50 and 75 % of the steps minus the last, last PSNR); None without two measured points.
 
     The figure at a share of the steps is the last one measured by then, None where there was none.
@@ -91,7 +91,7 @@ class _Cell:
 def _table(protocol: Protocol) -> dict[str, object]:
     """Rows by method and columns by figure, as text; a figure that a method lacks is a dash."""
     names = [n for n in KINDS if any(m.name == n for m in protocol.metrics)]
-    winners = best(protocol.metrics)
+    winners = find_best(protocol.metrics)
     values = {(m.method, m.name): m for m in protocol.metrics}
     rows = []
     for method in dict.fromkeys(m.method for m in protocol.metrics):
@@ -106,5 +106,5 @@ def _table(protocol: Protocol) -> dict[str, object]:
     return {"name": protocol.name, "description": protocol.description, "heads": heads, "rows": rows}
 
 
-def _embedded(file: Path) -> str:
+def _embed(file: Path) -> str:
     return "data:image/png;base64," + base64.b64encode(file.read_bytes()).decode()

@@ -16,32 +16,38 @@ from inpaint3d.contracts.models.artifacts import (
     RadianceFieldArtifact,
 )
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.radiance.artifact import reduced
+from inpaint3d.radiance.artifact import reduce_camera
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.methods import Method, load_methods, read_curve
-from inpaint3d.stages.evaluation.notes import weaknesses
+from inpaint3d.stages.evaluation.notes import list_weaknesses
 from inpaint3d.stages.evaluation.photos import (
     Photo,
-    exposed,
+    assign_exposures,
     load_photo,
     read_masks,
 )
-from inpaint3d.stages.evaluation.pictures import coloured_depth, hidden, outlined, showing_most, side_by_side
+from inpaint3d.stages.evaluation.pictures import (
+    choose_clearest_view,
+    colour_depth,
+    hide_hole,
+    outline_hole,
+    set_side_by_side,
+)
 from inpaint3d.stages.evaluation.prior import held_out_crops
 from inpaint3d.stages.evaluation.protocols import (
     Bench,
     Tick,
-    against_truth,
-    between_seeds,
-    held_out,
-    hole_statistics,
-    neighbouring_views,
+    compare_seeds,
+    score_against_truth,
+    score_held_out,
+    score_holes,
+    score_neighbouring_views,
 )
 from inpaint3d.stages.evaluation.report import Curve, Report, Strip, write_report
-from inpaint3d.stages.evaluation.sparse import sparse_points
+from inpaint3d.stages.evaluation.sparse import score_sparse_points
 
 CONTACT = "pictures/before_mask_after_depth.png"
 
@@ -57,7 +63,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if not methods:
         raise BadInputError("evaluation needs at least one radiance field; wire one to its input radiance-fields")
 
-    photos = _captured(capture, masks, config.render_longest_side)
+    photos = _load_photos(capture, masks, config.render_longest_side)
     truths = _truths(truth, masks, config)
     train = [p for p in photos if p.split == "train"]
     test = choose_evenly([p for p in photos if p.split == "test"], config.held_out_views)
@@ -69,12 +75,12 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     bench = Bench(methods, config, tick=_counter(ctx, steps))
     points = load_points(capture.path(capture.metadata.points))
     done = [
-        *against_truth(bench, truths),
-        *held_out(bench, test, train, points.xyz),
-        *hole_statistics(bench, shown),
-        *neighbouring_views(bench, choose_evenly(shown, config.neighbour_views), photos),
-        *between_seeds(bench, shown),
-        *sparse_points(bench, [v.camera for v in load_posed(capture)], photos, points),
+        *score_against_truth(bench, truths),
+        *score_held_out(bench, test, train, points.xyz),
+        *score_holes(bench, shown),
+        *score_neighbouring_views(bench, choose_evenly(shown, config.neighbour_views), photos),
+        *compare_seeds(bench, shown),
+        *score_sparse_points(bench, [v.camera for v in load_posed(capture)], photos, points),
         *(held_out_crops(prior.metadata) if prior else []),
     ]
 
@@ -94,7 +100,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         contact=contact,
         strips=strips,
         curves=_curves(methods),
-        notes=weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths)),
+        notes=list_weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths)),
         non_finite=bench.non_finite,
     )
     write_report(folder / "report.html", report)
@@ -109,7 +115,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     ctx.progress(steps, steps, "report written")
 
 
-def _captured(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], longest_side: int) -> list[Photo]:
+def _load_photos(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], longest_side: int) -> list[Photo]:
     """Every photo of the capture with its mask. Raises BadInputError for a photo without a mask."""
     known = read_masks(masks, masks.metadata.views)
     views = load_posed(capture)
@@ -117,7 +123,7 @@ def _captured(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], longest
         raise BadInputError(
             f"mask-set has no mask for view {missing[0]} ({len(missing)} in all); re-run mask-authoring"
         )
-    return exposed([load_photo(view, known[view.name], longest_side) for view in views])
+    return assign_exposures([load_photo(view, known[view.name], longest_side) for view in views])
 
 
 def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config: Config) -> list[Photo]:
@@ -140,16 +146,16 @@ def _contact(
     """Before, mask, after, depth: the first field in the view that shows the hole best."""
     views = load_posed(capture)
     known = read_masks(masks, masks.metadata.views)
-    view = views[showing_most([known[v.name] for v in views])]
-    camera = reduced(view.camera, bench.config.contact_longest_side)
+    view = views[choose_clearest_view([known[v.name] for v in views])]
+    camera = reduce_camera(view.camera, bench.config.contact_longest_side)
     photo = replace(
         load_photo(view, known[view.name], max(camera.width, camera.height)),
         exposure=next(p.exposure for p in photos if p.name == view.name),
     )
     maps = bench.methods[0].render(photo, bench.config.block)
     bench.tick(f"contact picture of {view.name}")
-    panels = [photo.image, hidden(photo.image, photo.hole), maps["rgb"], coloured_depth(maps["depth"])]
-    write_png(folder / CONTACT, side_by_side(panels))
+    panels = [photo.image, hide_hole(photo.image, photo.hole), maps["rgb"], colour_depth(maps["depth"])]
+    write_png(folder / CONTACT, set_side_by_side(panels))
     return Strip(view.name, folder / CONTACT, ("before", "mask", f"after ({bench.methods[0].label})", "depth"))
 
 
@@ -158,13 +164,17 @@ def _strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[
     strips = []
     for photo in photos:
         renders = [bench.full_render(m, photo) for m in bench.methods]
-        panels = [outlined(photo.image, photo.hole), *(r["rgb"] for r in renders), coloured_depth(renders[0]["depth"])]
+        panels = [
+            outline_hole(photo.image, photo.hole),
+            *(r["rgb"] for r in renders),
+            colour_depth(renders[0]["depth"]),
+        ]
         captions = [f"{kind}, hole outlined", *(m.label for m in bench.methods), f"depth of {bench.methods[0].label}"]
         if kind == "truth":
             panels.append(photo.image)
             captions.append("truth")
         file = folder / "pictures" / f"{kind}_{photo.name}.png"
-        write_png(file, side_by_side(panels))
+        write_png(file, set_side_by_side(panels))
         strips.append(Strip(f"{photo.name} ({kind})", file, captions))
     return strips
 

@@ -60,7 +60,7 @@ class Scores:
     rows: list[Score] = field(default_factory=list)
 
     def add(self, protocol: str, method: str, view: str, figures: dict[str, float]) -> None:
-        self.rows += [Score(protocol, method, view, name, rounded(value)) for name, value in figures.items()]
+        self.rows += [Score(protocol, method, view, name, round_figure(value)) for name, value in figures.items()]
 
     def means(self, protocol: str) -> list[Metric]:
         """One Metric for each method and figure of a protocol: the mean over its views."""
@@ -81,10 +81,10 @@ class Scores:
 def metric(method: str, name: str, value: float, views: int) -> Metric:
     """A figure in the artifact's form."""
     kind = KINDS[name]
-    return Metric(method=method, name=name, value=rounded(value), unit=kind.unit, better=kind.better, views=views)
+    return Metric(method=method, name=name, value=round_figure(value), unit=kind.unit, better=kind.better, views=views)
 
 
-def best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
+def find_best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
     """(method, name) of the best figure of each name; all of them where several are equal."""
     by_name: dict[str, list[Metric]] = {}
     for m in metrics:
@@ -96,7 +96,7 @@ def best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
     return winners
 
 
-def rounded(value: float) -> float:
+def round_figure(value: float) -> float:
     """Six decimals: sums differ beyond them with the number of threads."""
     return round(float(value), 6)
 

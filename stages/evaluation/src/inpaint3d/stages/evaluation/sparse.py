@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import Metric, Protocol
-from inpaint3d.radiance.agreement import FRONT, agreement
+from inpaint3d.radiance.sparse_point_metrics import FRONT, measure_sparse_points
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 from inpaint3d.stages.evaluation.photos import Photo
@@ -14,17 +14,19 @@ from inpaint3d.stages.evaluation.scores import metric
 SPARSE = "sparse-points"
 
 
-def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], points: SparsePoints) -> list[Protocol]:
+def score_sparse_points(
+    bench: Bench, cameras: list[Camera], photos: list[Photo], points: SparsePoints
+) -> list[Protocol]:
     """`sparse-points`: every field against the points that held-out photos saw outside their masks.
 
     cameras: of all frames in order, at the size that the tracks are measured in; photos: the same frames, reduced.
     Fields may have learnt from what the training photos saw: those judge only where no photo is held out. Where a
     field's figures are not finite it is counted, and none is scored.
     """
-    judges, split = judging(outside(points, cameras, photos), points, photos)
+    judges, split = choose_judges(find_known_rows(points, cameras, photos), points, photos)
     metrics: list[Metric] = []
     for method in bench.methods:
-        found = agreement(method.field, cameras, points, among=judges, block=bench.config.block)
+        found = measure_sparse_points(method.field, cameras, points, among=judges, block=bench.config.block)
         if found is None:
             return []
         if not np.isfinite((found.depth_error, found.floaters)).all():
@@ -45,13 +47,13 @@ def sparse_points(bench: Bench, cameras: list[Camera], photos: list[Photo], poin
     ]
 
 
-def judging(known: NDArray[np.bool_], points: SparsePoints, photos: list[Photo]) -> tuple[NDArray[np.bool_], str]:
+def choose_judges(known: NDArray[np.bool_], points: SparsePoints, photos: list[Photo]) -> tuple[NDArray[np.bool_], str]:
     """Which known rows of the tracks are looked at, [t], and whose they are: held-out photos' if there are any."""
     held_out = known & np.array([photo.split == "test" for photo in photos])[points.track_frame]
     return (held_out, "held-out") if held_out.any() else (known, "training")
 
 
-def outside(points: SparsePoints, cameras: list[Camera], photos: list[Photo]) -> NDArray[np.bool_]:
+def find_known_rows(points: SparsePoints, cameras: list[Camera], photos: list[Photo]) -> NDArray[np.bool_]:
     """Which rows of the tracks lie on known pixels of their photo, [t]."""
     known = np.zeros(len(points.track_frame), bool)
     for frame, (camera, photo) in enumerate(zip(cameras, photos, strict=True)):

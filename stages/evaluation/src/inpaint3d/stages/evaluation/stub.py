@@ -7,7 +7,7 @@ from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.evaluation.baselines import mean_surround
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.metrics import psnr, ssim
-from inpaint3d.stages.evaluation.pictures import coloured_depth, hidden, side_by_side
+from inpaint3d.stages.evaluation.pictures import colour_depth, hide_hole, set_side_by_side
 from inpaint3d.stages.evaluation.report import Report, Strip, write_report
 from inpaint3d.stages.evaluation.scores import Scores
 
@@ -27,11 +27,11 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     contact = folder / "pictures" / "before_mask_after_depth.png"
     panels = [
         scene.images[0],
-        hidden(scene.images[0], scene.object_masks[0]),
+        hide_hole(scene.images[0], scene.object_masks[0]),
         filled[0],
-        coloured_depth(scene.empty_depths[0].astype("float32")),
+        colour_depth(scene.empty_depths[0].astype("float32")),
     ]
-    write_png(contact, side_by_side(panels))
+    write_png(contact, set_side_by_side(panels))
     protocol = Protocol(
         name=PROTOCOL, description="Stub: whole views of the synthetic room.", metrics=tuple(scores.means(PROTOCOL))
     )

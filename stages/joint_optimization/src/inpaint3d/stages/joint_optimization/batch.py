@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.radiance.rays import CameraStack, Rays, joined
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.rays import CameraStack, Rays, join_rays
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.masked_views import MaskedView
 
@@ -42,7 +42,7 @@ class Filled:
     """
 
     views: Sequence[MaskedView]
-    surfaces: Sightings | None
+    surfaces: SightLines | None
 
 
 class RayBank:
@@ -60,7 +60,7 @@ class RayBank:
         *,
         filled: Filled | None = None,
         filled_share: float | None = 0.0,
-        sight_lines: Sightings | None = None,
+        sight_lines: SightLines | None = None,
     ) -> None:
         self._sight_lines = [s for s in (sight_lines, filled.surfaces if filled else None) if s]
         cameras = [v.camera for v in views]
@@ -96,7 +96,7 @@ class RayBank:
         distance = torch.cat([target.new_empty(0), *(sight_lines.distance for sight_lines in toward)])
         if patches:
             parts.append(self._patches(patches, patch_size, generator))
-        return Batch(joined(parts), target, distance, (patches, patch_size, patch_size))
+        return Batch(join_rays(parts), target, distance, (patches, patch_size, patch_size))
 
     def _share_of(self, some: Pixels | None) -> float:
         """Share of some pixels among those and the known ones."""

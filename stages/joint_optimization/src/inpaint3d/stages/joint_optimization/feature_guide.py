@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inpaint3d.perception.matching import Cells, cells, joined, nearest_mismatch, sliced_mismatch
+from inpaint3d.perception.matching import Cells, cells, join_cells, nearest_mismatch, sliced_mismatch
 from inpaint3d.scene.masked_views import MaskedView, find_fillable
 from inpaint3d.scene.windows import Window, draw_window
 from inpaint3d.stages.joint_optimization.guidance import Hole, Patch, Stateless, Timesteps
@@ -44,7 +44,7 @@ class FeatureGuide(Stateless):
     ) -> tuple[Patch, float]:
         rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))
         others = [i for i in self._shown if i != window.view] or self._shown
-        known = joined([self._cut_reference(others[int(rng.integers(len(others)))], window, patch, rng)
+        known = join_cells([self._cut_reference(others[int(rng.integers(len(others)))], window, patch, rng)
                         for _ in range(self._reference_windows)])  # fmt: skip
         rendered = patch.detach().requires_grad_()
         made = cells(rendered.permute(2, 0, 1)[None] * 2 - 1, hole, whole=False)

@@ -16,7 +16,7 @@ from torch import Tensor
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.distillation import dataset_gradient, denoised_target
 from inpaint3d.diffusion.low_rank import LowRankCopy
-from inpaint3d.perception.lpips import enlarged, load
+from inpaint3d.perception.lpips import enlarge, load
 from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.schedule import TimestepRange
 
@@ -188,6 +188,6 @@ class PictureGuide(Stateless):
         picture = torch.from_numpy(np.ascontiguousarray(window.sample(self._pictures[window.view]))).to(patch)
         rendered = patch.detach().requires_grad_()
         pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
-        made, wanted = enlarged(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
+        made, wanted = enlarge(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
         (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
         return gradient, float("nan")

@@ -15,7 +15,7 @@ from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.optim import Adam, learning_rate
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.training import descend, proposal_anneal
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
 from inpaint3d.scene.windows import Window, draw_window
@@ -135,14 +135,14 @@ class Problem:
         return distilled, weight, describe_push(distilled, timesteps, weight, span, specular)
 
 
-def trace_sparse_points(scene: MaskedScene, device: str) -> Sightings | None:
+def trace_sparse_points(scene: MaskedScene, device: str) -> SightLines | None:
     """The sparse points as the views to fit saw them; None where they saw none."""
     cameras = {v.name: v.camera for v in (*scene.train, *scene.test)}
     fitted = np.isin(scene.order, [v.name for v in scene.train])
     among = fitted[scene.sparse.track_frame]
     if not among.any():
         return None
-    return Sightings.of([cameras[name] for name in scene.order], scene.sparse, among, device)
+    return SightLines.of([cameras[name] for name in scene.order], scene.sparse, among, device)
 
 
 def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> None:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.line_of_sight import line_of_sight_loss
 from inpaint3d.radiance.losses import (
     charbonnier,
     depth_smoothness_loss,
@@ -14,7 +15,6 @@ from inpaint3d.radiance.losses import (
     interlevel_loss,
 )
 from inpaint3d.radiance.rendering import BACKGROUND, render
-from inpaint3d.radiance.sightings import line_of_sight_loss
 from inpaint3d.stages.joint_optimization.batch import Batch
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.distil import Distilled

@@ -51,7 +51,7 @@ class Scene:
 
     def small(self, longest: int) -> list[DepthView]:
         """The views with pictures of at most `longest` pixels."""
-        return [_shrunk(v, longest) for v in self.depth_views]
+        return [_shrink(v, longest) for v in self.depth_views]
 
 
 def author(request: Request, scene: Scene, dilate: float, config: Config, ctx: Context) -> Authored:
@@ -97,8 +97,8 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
     hull = carve(small, carried, voxels=config.voxels, agreement=config.agreement, tolerance=config.depth_tolerance)
     masks = []
     for view, mask in zip(scene.depth_views, carried, strict=True):
-        shown = splat(view, hull, config.depth_tolerance) | _enlarged(mask, view)
-        masks.append(_finished(remove_specks(shown, SPECKS), dilate))
+        shown = splat(view, hull, config.depth_tolerance) | _enlarge(mask, view)
+        masks.append(_finish(remove_specks(shown, SPECKS), dilate))
     seeds = " and ".join(n for n, given in (("points", request.points), ("a box", request.box)) if given)
     refined = ", segmented again in each view" if config.refine else ""
     return Authored(
@@ -107,7 +107,7 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
         f"z-test{refined}, made consistent by a voxel hull",
         masks=masks,
         truth_masks=[
-            _finished(remove_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
+            _finish(remove_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
         ],
     )
 
@@ -127,7 +127,7 @@ def author_scribble(request: ScribbleRequest, scene: Scene, dilate: float, confi
         )
     shown = [splat(v, surface, config.depth_tolerance) for v in (*scene.depth_views, *scene.truth)]
     shown[source] |= drawn
-    finished = [_finished(m, dilate) for m in shown]
+    finished = [_finish(m, dilate) for m in shown]
     count = len(scene.depth_views)
     drawn_by = "hand" if request.path else "chance"
     return Authored(
@@ -158,25 +158,25 @@ def author_imported(scene: Scene, dilate: float, config: Config) -> Authored:
     return Authored(
         origin="imported",
         method=f"masks of the capture for {len(known)} of {len(given)} views{carried}",
-        masks=[_finished(m, dilate) for m in masks if m is not None],
-        truth_masks=[_finished(m, dilate) for m in truth_masks],
+        masks=[_finish(m, dilate) for m in masks if m is not None],
+        truth_masks=[_finish(m, dilate) for m in truth_masks],
     )
 
 
-def _finished(mask: Bools, dilate: float) -> Bools:
+def _finish(mask: Bools, dilate: float) -> Bools:
     """Closed, small holes filled, grown by a share of the shorter side (M2: holes filled, edges smoothed)."""
     side = min(mask.shape)
     closed = fill_holes(close(mask, max(1, round(CLOSING * side))), HOLES)
     return grow(closed, round(dilate * side))
 
 
-def _shrunk(view: DepthView, longest: int) -> DepthView:
+def _shrink(view: DepthView, longest: int) -> DepthView:
     width, height = view.camera.width, view.camera.height
     scale = longest / max(width, height)
     return view if scale >= 1 else view.resized(max(1, round(width * scale)), max(1, round(height * scale)))
 
 
-def _enlarged(mask: Bools, view: DepthView) -> Bools:
+def _enlarge(mask: Bools, view: DepthView) -> Bools:
     """A mask from the segmentation's size to the picture's."""
     size = (view.camera.width, view.camera.height)
     return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) >= KEPT

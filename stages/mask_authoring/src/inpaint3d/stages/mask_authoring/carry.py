@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.scene.morphology import close, fill_holes, grow, shrink
-from inpaint3d.stages.mask_authoring.cloud import Cloud, join, lift, near, splat, votes
+from inpaint3d.stages.mask_authoring.cloud import Cloud, are_near, join, lift, splat, votes
 from inpaint3d.stages.mask_authoring.segment import (
     BACKGROUND,
     MAYBE_BACKGROUND,
     MAYBE_OBJECT,
     OBJECT,
+    add_depth,
     grabcut,
     middle_depth,
-    with_depth,
 )
-from inpaint3d.stages.mask_authoring.views import DepthView, by_nearness, camera_distances
+from inpaint3d.stages.mask_authoring.views import DepthView, camera_distances, order_by_nearness
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -59,7 +59,7 @@ def carry(
     apart = camera_distances([v.camera for v in views])
     masks: dict[int, Bools] = {source: source_mask}
     clouds = [lift(views[source], shrink(source_mask, _pixels(CORE, source_mask)))]
-    order = by_nearness(apart, source)
+    order = order_by_nearness(apart, source)
     for done, index in enumerate(order[1:], start=1):
         progress(done, len(order))
         view, cloud = views[index], join(clouds)
@@ -68,12 +68,12 @@ def carry(
         if refine and shown.any():
             nearest = sorted(masks, key=apart[index].__getitem__)[:NEAR_WITNESSES]
             witnesses = Witnesses([views[j] for j in nearest], [masks[j] for j in nearest], how.tolerance)
-            masks[index], found = _refined(view, shown, cloud, witnesses, how)
+            masks[index], found = _refine(view, shown, cloud, witnesses, how)
             clouds.append(found)
         else:
             masks[index] = shown
     carried = [masks[i] for i in range(len(views))]
-    return _agreed(views, carried, apart, how) if refine else carried
+    return _keep_agreed(views, carried, apart, how) if refine else carried
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +91,13 @@ class Witnesses:
         return doubted, doubted & (inside + outside >= 2)
 
 
-def _refined(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, how: Carrying) -> tuple[Bools, Cloud]:
+def _refine(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, how: Carrying) -> tuple[Bools, Cloud]:
     """The object in a view, segmented round what was carried there, and its surface points."""
     rows, columns = np.nonzero(shown)
     around = grow(shown, max(2, round(how.margin * max(np.ptp(rows), np.ptp(columns)))))
     pixels, points = _surface(view, around)
     doubted, denied = witnesses.judge(points)
-    far = ~near(points, cloud, UNSEEN)
+    far = ~are_near(points, cloud, UNSEEN)
     outside, fresh = (_at(pixels, which, shown.shape) for which in (denied | far, ~doubted & ~far))
     core = shrink(shown, _pixels(CORE, shown)) & ~outside
     trimap = np.full(shown.shape, BACKGROUND, np.uint8)
@@ -106,13 +106,13 @@ def _refined(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, 
     trimap[(shown | fresh) & ~outside] = MAYBE_OBJECT
     trimap[core] = OBJECT
     depth = view.depth_at(view.camera.pixel_centres())
-    features = with_depth(view.image(), depth, middle_depth(depth[shown]))
+    features = add_depth(view.image(), depth, middle_depth(depth[shown]))
     mask = grabcut(features, trimap, how.rounds, how.seed)
     found = lift(view, shrink(mask, _pixels(CORE, mask)))
     return mask, found.select(~witnesses.judge(found.points)[1])
 
 
-def _agreed(views: list[DepthView], masks: list[Bools], apart: Floats, how: Carrying) -> list[Bools]:
+def _keep_agreed(views: list[DepthView], masks: list[Bools], apart: Floats, how: Carrying) -> list[Bools]:
     """The masks without the surface that views from near to far put outside the object."""
     agreed = []
     for index, (view, mask) in enumerate(zip(views, masks, strict=True)):

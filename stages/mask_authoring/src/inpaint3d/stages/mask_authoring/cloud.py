@@ -47,7 +47,7 @@ def bounds(cloud: Cloud, room: float) -> tuple[Floats, Floats]:
     return low - more, high + more
 
 
-def near(points: Floats, cloud: Cloud, share: float) -> Bools:
+def are_near(points: Floats, cloud: Cloud, share: float) -> Bools:
     """Points [n, 3] in the cells of a grid that hold some of the cloud, or next to those.
 
     Cells are `share` of the cloud's longest side wide, so that "near" ends at once to twice that distance.

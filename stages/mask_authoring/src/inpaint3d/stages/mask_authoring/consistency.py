@@ -11,7 +11,7 @@ from inpaint3d.stages.mask_authoring.views import DepthView, camera_distances
 Bools = NDArray[np.bool_]
 
 
-def consistency(views: list[DepthView], masks: list[Bools], tolerance: float) -> float | None:
+def measure_consistency(views: list[DepthView], masks: list[Bools], tolerance: float) -> float | None:
     """Mean IoU of each view's mask with its nearest neighbour's mask reprojected into it, over what both see.
 
     At the depth maps' resolution. None where no pair has masked surface in common.

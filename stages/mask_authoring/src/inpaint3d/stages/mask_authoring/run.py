@@ -16,7 +16,7 @@ from inpaint3d.scene.capture_io import View
 from inpaint3d.stages.mask_authoring.author import Scene, author
 from inpaint3d.stages.mask_authoring.authored import Authored, write_mask_set
 from inpaint3d.stages.mask_authoring.config import Config
-from inpaint3d.stages.mask_authoring.consistency import consistency
+from inpaint3d.stages.mask_authoring.consistency import measure_consistency
 from inpaint3d.stages.mask_authoring.requests import example_request
 from inpaint3d.stages.mask_authoring.truth import truth_views
 from inpaint3d.stages.mask_authoring.views import load_depth_views
@@ -30,20 +30,22 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     posed = inputs.one("posed-capture", PosedCapture)
     views, depth_views = load_depth_views(posed, inputs.one("radiance-field", RadianceFieldArtifact))
     asked = inputs.optional("mask-request", MaskRequestArtifact)
-    request = asked.metadata.request if asked else unasked(views)
+    request = asked.metadata.request if asked else request_by_default(views)
     truth = inputs.optional("posed-truth", PosedTruth)
     unseen = truth_views(truth, depth_views) if truth else []
     scene = Scene(views, depth_views, unseen, posed.metadata.ordered)
     authored = author(request.mask, scene, request.dilate, config, ctx)
     check(authored)
-    agreement = None if authored.primitives else consistency(depth_views, authored.masks, config.depth_tolerance)
+    agreement = (
+        None if authored.primitives else measure_consistency(depth_views, authored.masks, config.depth_tolerance)
+    )
     names, truth_names = [v.name for v in views], [v.name for v in unseen]
     folder = outputs.folder("mask-set")
     outputs.write("mask-set", write_mask_set(folder, authored, names, truth_names, agreement))
     ctx.progress(1, 1, authored.method, share=authored.mean_share)
 
 
-def unasked(views: list[View]) -> MaskRequest:
+def request_by_default(views: list[View]) -> MaskRequest:
     """What a run without a request does: use the capture's own masks, or wait for a person."""
     if any(v.mask_path for v in views):
         return MaskRequest(mask=ImportedRequest(kind="imported"))

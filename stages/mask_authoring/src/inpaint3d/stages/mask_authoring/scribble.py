@@ -35,13 +35,13 @@ def draw(path: Floats, width: int, height: int, thickness: float, seed: int) -> 
     rng = np.random.default_rng(seed)
     mask = np.zeros((height, width), np.uint8)
     half = max(thickness / 2, 1.0)
-    for x, y in _spaced(path, half):
+    for x, y in _space_evenly(path, half):
         axes = (round(half * rng.uniform(1, STRETCH)), round(half))
         cv2.ellipse(mask, (int(x), int(y)), axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
     return mask.astype(bool)
 
 
-def _spaced(path: Floats, spacing: float) -> Floats:
+def _space_evenly(path: Floats, spacing: float) -> Floats:
     """Points every `spacing` pixels along a polyline, both ends included."""
     if len(path) == 1:
         return path

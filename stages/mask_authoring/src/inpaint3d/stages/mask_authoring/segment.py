@@ -46,14 +46,14 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int) -> Bools:
     """The object on a view's picture -> bool [h, w].
 
     A box bounds the object; without one the reach round the points is unknown, and is found by stability (see
-    `_stablest`).
+    `_choose_stablest`).
     """
     shape = (view.camera.height, view.camera.width)
     depth = view.depth_at(view.camera.pixel_centres())
     anchors = prompts.points if len(prompts.points) else np.array(prompts.box).reshape(2, 2).mean(0, keepdims=True)
-    features = with_depth(view.image(), depth, middle_depth(view.depth_at(anchors)))
+    features = add_depth(view.image(), depth, middle_depth(view.depth_at(anchors)))
     if prompts.box is not None:
-        trimap = _with_points(_box_trimap(shape, prompts.box), prompts)
+        trimap = _mark_points(_box_trimap(shape, prompts.box), prompts)
         return _keep_marked(grabcut(features, trimap, rounds, seed), prompts.points)
     reach = _reach_of(view, depth, prompts.points)
     masks, cut = [], []
@@ -61,13 +61,13 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int) -> Bools:
         trimap = np.full(shape, MAYBE_BACKGROUND, np.uint8)
         trimap[reach <= share] = MAYBE_OBJECT
         trimap[reach > SURELY_OUT * share] = BACKGROUND
-        mask = _keep_marked(grabcut(features, _with_points(trimap, prompts), rounds, seed), prompts.points)
+        mask = _keep_marked(grabcut(features, _mark_points(trimap, prompts), rounds, seed), prompts.points)
         masks.append(mask)
         cut.append(float((reach[mask] > 0.95 * share).mean()) if mask.any() else 1.0)
-    return masks[_stablest(masks, cut)]
+    return masks[_choose_stablest(masks, cut)]
 
 
-def with_depth(image: Image, depth: Floats, middle: float | None) -> NDArray[np.uint8]:
+def add_depth(image: Image, depth: Floats, middle: float | None) -> NDArray[np.uint8]:
     """What GrabCut looks at, uint8 [h, w, 3]: the two strongest colour components, and depth [h, w] round `middle`.
 
     GrabCut takes three channels. The third principal colour of a photo holds little, while an object mostly stands out
@@ -122,7 +122,7 @@ def iou(a: Bools, b: Bools) -> float:
     return 1.0 if union == 0 else int((a & b).sum()) / union
 
 
-def _stablest(masks: list[Bools], cut: list[float]) -> int:
+def _choose_stablest(masks: list[Bools], cut: list[float]) -> int:
     """The candidate that changes least when the reach is widened or narrowed by a step.
 
     An object ends where its colours and its surface do, so that a wider reach gives the same mask again; a mask that
@@ -163,7 +163,7 @@ def _reach_of(view: DepthView, depth: Floats, points: Floats) -> Floats:
     return nearest / (pixel_size * min(depth.shape))
 
 
-def _with_points(trimap: Trimap, prompts: Prompts) -> Trimap:
+def _mark_points(trimap: Trimap, prompts: Prompts) -> Trimap:
     radius = max(1, round(SEED_RADIUS * min(trimap.shape)))
     for points, value in ((prompts.background, BACKGROUND), (prompts.points, OBJECT)):
         for x, y in points:

@@ -81,7 +81,7 @@ def read_depth(path: Path) -> Floats:
     return np.where((depth > 0) & (opacity >= SURFACE_OPACITY), depth, np.inf)
 
 
-def by_nearness(apart: Floats, start: int) -> list[int]:
+def order_by_nearness(apart: Floats, start: int) -> list[int]:
     """Views in an order that grows from `start` by the smallest steps, given how far apart they are [n, n]."""
     order, nearest = [start], apart[start].copy()
     while len(order) < len(apart):

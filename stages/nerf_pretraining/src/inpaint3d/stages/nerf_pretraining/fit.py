@@ -13,10 +13,10 @@ from inpaint3d.contracts.kit.context import Context
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut
+from inpaint3d.radiance.line_of_sight import SightLines, line_of_sight_loss
 from inpaint3d.radiance.optim import Adam, scheduled_rate
-from inpaint3d.radiance.rays import joined
+from inpaint3d.radiance.rays import join_rays
 from inpaint3d.radiance.rendering import render
-from inpaint3d.radiance.sightings import Sightings, line_of_sight_loss
 from inpaint3d.radiance.training import (
     Pixels,
     descend,
@@ -37,7 +37,7 @@ class Known(NamedTuple):
     """What a field is fitted to: pixels of the training views, and sparse points as these saw them."""
 
     pixels: Pixels
-    sightings: Sightings | None = None
+    sight_lines: SightLines | None = None
 
 
 def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
@@ -82,9 +82,9 @@ def one_step(
     count = rays_at(step, first=min(config.first_rays, config.rays), last=config.rays, ramp=config.ramp_steps)
     rays, target = known.pixels.draw(count, generator)
     toward = None
-    if known.sightings and weights.line_of_sight:
-        toward = known.sightings.draw(config.line_of_sight_rays, generator)
-        rays = joined([rays, toward.rays])
+    if known.sight_lines and weights.line_of_sight:
+        toward = known.sight_lines.draw(config.line_of_sight_rays, generator)
+        rays = join_rays([rays, toward.rays])
     # A background that nothing can imitate: what the photos show has to become opaque.
     background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
     anneal = proposal_anneal(step, how.proposal_anneal_steps) if how.proposal_anneal_steps else 1.0

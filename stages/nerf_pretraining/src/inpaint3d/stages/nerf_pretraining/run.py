@@ -7,13 +7,13 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.contracts.models.artifacts import EffectPlan, PosedCapture, RadianceFieldArtifact
 from inpaint3d.radiance import backends
-from inpaint3d.radiance.agreement import agreement
 from inpaint3d.radiance.artifact import write_curve, write_views
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.io import save_field
-from inpaint3d.radiance.sightings import Sightings
+from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.sizing import field_spec
+from inpaint3d.radiance.sparse_point_metrics import measure_sparse_points
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.stages.nerf_pretraining.config import Config
@@ -46,18 +46,18 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if not len(pixels):
         raise BadInputError("no pixel of the training views is valid; re-run pose-estimation")
     seen_by_training = np.array([view.split == "train" for view in views])[points.track_frame]
-    sightings = None
+    sight_lines = None
     if seen_by_training.any():
-        sightings = Sightings.of([view.camera for view in views], points, seen_by_training, ctx.device)
+        sight_lines = SightLines.of([view.camera for view in views], points, seen_by_training, ctx.device)
     scored = HeldOut.on_lattice(map(KnownPhoto.of, test[: config.score_views]), config.score_side, ctx.device)
-    curve = fit(field, Known(pixels, sightings), scored, config, ctx)
+    curve = fit(field, Known(pixels, sight_lines), scored, config, ctx)
 
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
     write_curve(folder, curve)
     held_out = HeldOut.on_lattice(map(KnownPhoto.of, test), config.score_side, ctx.device)
     judges = ~seen_by_training if test else None
-    agrees = agreement(field, [view.camera for view in views], points, among=judges, block=config.block)
+    agrees = measure_sparse_points(field, [view.camera for view in views], points, among=judges, block=config.block)
     shown = write_views(
         folder,
         field,

@@ -35,12 +35,12 @@ class Config(Closed):
         default=8, description="every so many frames one is held out, from the first; 0: none"
     )
     keep_test_from: Count = Field(default=6, description="frames; captures of fewer hold none out")
-    least_registered_share: Share = Field(default=0.6, description="share of the frames that must be registered")
-    least_registered: Annotated[int, Field(ge=2)] = Field(default=3, description="frames that must be registered")
-    least_angle_deg: Annotated[float, Field(ge=0)] = Field(
+    min_registered_share: Share = Field(default=0.6, description="share of the frames that must be registered")
+    min_registered: Annotated[int, Field(ge=2)] = Field(default=3, description="frames that must be registered")
+    min_angle_deg: Annotated[float, Field(ge=0)] = Field(
         default=1.5, description="degrees; median triangulation angle below which depth cannot be told"
     )
-    least_points: Count = Field(default=20, description="sparse points that must be found")
+    min_points: Count = Field(default=20, description="sparse points that must be found")
     largest_error_px: Positive = Field(
         default=4.0, description="pixels at the captured size per 1000 of its longest side; mean reprojection error"
     )

@@ -24,12 +24,12 @@ Item = TypeVar("Item")
 Pairs = list[tuple[str, str]]
 
 
-def quiet() -> None:
+def silence_pycolmap() -> None:
     """Only errors of pycolmap reach standard error."""
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
 
 
-def guessed_camera(number: int, frames: Sequence[CapturedFrame], model: str) -> pycolmap.Camera:
+def guess_camera(number: int, frames: Sequence[CapturedFrame], model: str) -> pycolmap.Camera:
     """A camera to start from for frames of one size: the EXIF focal length where there is one."""
     width, height = frames[0].width, frames[0].height
     focal = [f.exif.focal_px for f in frames if f.exif.focal_px]

@@ -27,17 +27,17 @@ class Evidence:
 
 def check_estimated(e: Evidence, config: Config) -> None:
     """BadInputError where the photos cannot carry a scene."""
-    needed = max(config.least_registered, round(config.least_registered_share * e.given))
+    needed = max(config.min_registered, round(config.min_registered_share * e.given))
     if e.registered < needed:
         raise BadInputError(_too_few(e, needed))
-    if e.angle_deg < config.least_angle_deg:
+    if e.angle_deg < config.min_angle_deg:
         raise BadInputError(
             f"too little parallax: the median triangulation angle is {e.angle_deg:.2f} degrees, "
-            f"{config.least_angle_deg} are needed; walk sideways between photos, don't turn on the spot"
+            f"{config.min_angle_deg} are needed; walk sideways between photos, don't turn on the spot"
         )
-    if e.points < config.least_points:
+    if e.points < config.min_points:
         raise BadInputError(
-            f"only {e.points} points were found in {e.registered} views, {config.least_points} are needed; "
+            f"only {e.points} points were found in {e.registered} views, {config.min_points} are needed; "
             "photograph a scene with more texture, sharper, with more overlap"
         )
     _check_error(e, config, "use sharp photos of a scene that does not move, all with one lens and zoom")
@@ -45,7 +45,7 @@ def check_estimated(e: Evidence, config: Config) -> None:
 
 def check_known(e: Evidence, config: Config) -> None:
     """BadInputError where the pictures contradict the cameras that came with them."""
-    if e.points < config.least_points and e.verified_pairs * e.median_inliers > 20 * config.least_points:
+    if e.points < config.min_points and e.verified_pairs * e.median_inliers > 20 * config.min_points:
         raise BadInputError(
             f"the cameras that came with the capture do not fit its pictures: {e.verified_pairs} pairs match with "
             f"{e.median_inliers:.0f} inliers each, but only {e.points} points triangulate; "

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from inpaint3d.stages.pose_estimation.features import quiet
+from inpaint3d.stages.pose_estimation.features import silence_pycolmap
 
 # Principal points are estimated with the richer models only: alone they trade off against the poses.
 CANDIDATES = (("PINHOLE", False), ("SIMPLE_RADIAL", False), ("SIMPLE_RADIAL", True), ("OPENCV", True))
@@ -29,10 +29,10 @@ class Trial:
         return f"{self.lens} {'with' if self.centre else 'without'} principal point"
 
 
-def choose(model: pycolmap.Reconstruction, lens: str) -> tuple[pycolmap.Reconstruction, str]:
+def choose_lens(model: pycolmap.Reconstruction, lens: str) -> tuple[pycolmap.Reconstruction, str]:
     """The model adjusted with the chosen lens, and the evidence in words. `lens`: a name, or "auto"."""
     candidates = CANDIDATES if lens == "auto" else ((lens, lens != "PINHOLE"),)
-    trials = [adjusted(model, name, centre) for name, centre in candidates]
+    trials = [adjust_copy(model, name, centre) for name, centre in candidates]
     best = min(t.error_px for t in trials)
     chosen = next(t for t in trials if t.error_px <= best * (1 + ENOUGH))
     measured = "; ".join(f"{t.label} {t.error_px:.3f} px" for t in trials)
@@ -42,7 +42,7 @@ def choose(model: pycolmap.Reconstruction, lens: str) -> tuple[pycolmap.Reconstr
     return chosen.model, f"{chosen.label}: {why} ({measured})"
 
 
-def adjusted(model: pycolmap.Reconstruction, lens: str, centre: bool) -> Trial:
+def adjust_copy(model: pycolmap.Reconstruction, lens: str, centre: bool) -> Trial:
     """A copy of the model with another lens model, bundle-adjusted."""
     copy = pycolmap.Reconstruction(model)
     for camera in copy.cameras.values():
@@ -56,7 +56,7 @@ def adjusted(model: pycolmap.Reconstruction, lens: str, centre: bool) -> Trial:
     # Mismatches that are left must not steer the lens.
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     pycolmap.bundle_adjustment(copy, options)
-    quiet()  # the call above sets the log level back
+    silence_pycolmap()  # the call above sets the log level back
     copy.update_point_3d_errors()
     return Trial(lens, centre, copy, root_mean_square(copy))
 

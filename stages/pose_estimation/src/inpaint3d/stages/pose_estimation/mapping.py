@@ -43,7 +43,7 @@ def _map(database: Path, folder: Path, output: Path, config: Config, ctx: Contex
     # More threads change the order of sums, and so the last digits.
     options.num_threads = 1
     options.extract_colors = False
-    options.min_model_size = config.least_registered
+    options.min_model_size = config.min_registered
     token = pycolmap.CancellationToken()
     registered = 2
     stopped: list[InterruptedRun] = []
@@ -80,7 +80,7 @@ def triangulate(
         numbers = {image.name: image.image_id for image in db.read_all_images()}
     for name, (lens, camera) in known.items():
         image = pycolmap.Image(name=name, camera_id=lens, image_id=numbers[name])
-        given.add_image_with_trivial_frame(image, rigid(camera.world_from_cam).inverse())
+        given.add_image_with_trivial_frame(image, make_rigid(camera.world_from_cam).inverse())
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = ctx.seed
     options.num_threads = 1
@@ -93,7 +93,7 @@ def triangulate(
     return pycolmap.triangulate_points(given, database, folder, output, options=options)
 
 
-def rigid(world_from_cam: ArrayLike) -> pycolmap.Rigid3d:
+def make_rigid(world_from_cam: ArrayLike) -> pycolmap.Rigid3d:
     """A pose whose rotation is made orthonormal: data sets round their matrices."""
     pose = np.asarray(world_from_cam, np.float64)
     u, _, vt = np.linalg.svd(pose[:, :3])

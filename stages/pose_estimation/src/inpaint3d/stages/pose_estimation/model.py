@@ -72,14 +72,14 @@ def from_reconstruction(found: pycolmap.Reconstruction, order: list[str]) -> Mod
     xy = [images[view].points2D[k].xy for track in tracks for view, k in track]
     lenses = {i: pycolmap.Camera(c.todict()) for i, c in sorted(found.cameras.items())}
     for lens in lenses.values():
-        lens.params = significant(lens.params).tolist()
-    poses = [significant(image.cam_from_world().inverse().matrix()) for image in images]
+        lens.params = round_to_digits(lens.params).tolist()
+    poses = [round_to_digits(image.cam_from_world().inverse().matrix()) for image in images]
     model = Model(
         names=[image.name for image in images],
         lenses=lenses,
         view_lens=[image.camera_id for image in images],
         world_from_cam=np.array(poses).reshape(-1, 3, 4),
-        xyz=significant([p.xyz for p in points]).reshape(-1, 3),
+        xyz=round_to_digits([p.xyz for p in points]).reshape(-1, 3),
         error=np.zeros(len(points)),
         track_offsets=np.concatenate([[0], np.cumsum([len(t) for t in tracks])]).astype(np.int64),
         track_view=np.array(views, np.int32),
@@ -88,7 +88,7 @@ def from_reconstruction(found: pycolmap.Reconstruction, order: list[str]) -> Mod
     return replace(model, error=mean_by_point(model, model.residuals()))
 
 
-def significant(values: ArrayLike, digits: int = POSE_DIGITS) -> Floats:
+def round_to_digits(values: ArrayLike, digits: int = POSE_DIGITS) -> Floats:
     """Values rounded to so many digits of the largest of them."""
     values = np.array(values, np.float64)
     largest = float(np.abs(values).max()) if values.size else 0.0

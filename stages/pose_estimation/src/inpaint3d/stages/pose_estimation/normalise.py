@@ -16,7 +16,7 @@ PLANE_TRIALS = 500
 PLANE_WITHIN_DEG = 20.0
 PLANE_SHARE = 0.15
 # Optical axes nearer to parallel than this meet nowhere that can be told.
-LEAST_SPREAD_DEG = 4.0
+MIN_SPREAD_DEG = 4.0
 MARGIN = 1e-6
 
 
@@ -101,7 +101,7 @@ def find_interest(poses: Floats, xyz: Floats) -> tuple[Floats, str]:
     centres, forward = poses[:, :, 3], poses[:, :, 2]
     crossing = np.linalg.eigvalsh(np.eye(3) - forward.T @ forward / len(forward))[0]
     spread = np.rad2deg(np.arcsin(np.sqrt(max(float(crossing), 0.0))))
-    if spread >= LEAST_SPREAD_DEG:
+    if spread >= MIN_SPREAD_DEG:
         point = nearest_point_to_axes(centres, forward)
         ahead = np.mean(np.sum((point - centres) * forward, 1) > 0)
         if ahead >= 0.75:

@@ -18,11 +18,11 @@ from inpaint3d.contracts.models.artifacts import (
 )
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import as_pose
-from inpaint3d.scene.capture_io import SparsePoints, captured_image, captured_mask, write_points, write_view
+from inpaint3d.scene.capture_io import SparsePoints, read_captured_image, read_captured_mask, write_points, write_view
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
-from inpaint3d.stages.pose_estimation.mapping import rigid
+from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
 from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
 from inpaint3d.stages.pose_estimation.solve import Solved, known_lens, link_pictures, solve
@@ -33,7 +33,7 @@ from inpaint3d.stages.pose_estimation.undistort import Undistorter
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """Write `posed-capture`, and `posed-truth` where the capture has truth views that can be placed."""
     capture, truth = inputs.one("capture", Capture), inputs.optional("truth", Truth)
-    features.quiet()
+    features.silence_pycolmap()
     solved = solve(capture, config, ctx)
     world = normalise(solved.model.world_from_cam, solved.model.xyz, ctx.seed)
     write_capture(capture, solved, world, config, outputs, ctx)
@@ -51,14 +51,14 @@ def write_capture(
     by_link = {solved.links[f.name]: f for f in capture.metadata.frames}
     taken = [by_link[link] for link in model.names]
     exposures = relative_exposures(taken, taken)
-    tests = held_out(len(taken), config)
+    tests = choose_test_views(len(taken), config)
     colours = np.zeros((len(model.track_view), 3))
     track_xy = np.zeros((len(model.track_view), 2))
     frames: list[PosedFrame] = []
     for view, frame in enumerate(taken):
         ctx.progress(view, len(taken), "undistorting")
         lens = flat[model.view_lens[view]]
-        image, mask = lens.image(captured_image(capture, frame)), captured_mask(capture, frame)
+        image, mask = lens.image(read_captured_image(capture, frame)), read_captured_mask(capture, frame)
         rows = np.flatnonzero(model.track_view == view)
         track_xy[rows] = lens.pixels(model.track_xy[rows])
         colours[rows] = sample_bilinear(image, track_xy[rows])
@@ -118,10 +118,10 @@ def write_truth(
         ctx.progress(len(frames), len(there), "truth")
         lens = flat[placed[frame.name].lens]
         camera = lens.camera(world.normalised_from_source.pose(placed[frame.name].world_from_cam))
-        mask = captured_mask(truth, frame)
+        mask = read_captured_mask(truth, frame)
         frames.append(
             write_view(
-                folder, frame.name, lens.image(captured_image(truth, frame)), camera, split="test",
+                folder, frame.name, lens.image(read_captured_image(truth, frame)), camera, split="test",
                 relative_exposure=exposure, mask=None if mask is None else lens.mask(mask), valid=lens.valid,
             )
         )  # fmt: skip
@@ -135,7 +135,7 @@ def write_truth(
     )
 
 
-def held_out(count: int, config: Config) -> set[int]:
+def choose_test_views(count: int, config: Config) -> set[int]:
     """Positions of the test views: every `test_every`-th, from the first; none in captures that need all."""
     if config.test_every == 0 or count < config.keep_test_from:
         return set()
@@ -170,7 +170,7 @@ def _known_truth(model: Model, frames: Sequence[CapturedFrame]) -> tuple[Model, 
                  and (c.model_name, c.width, c.height) == (lens.model_name, lens.width, lens.height))  # fmt: skip
         number = next(alike, lens.camera_id)
         lenses.setdefault(number, lens)
-        placed[frame.name] = Registered(rigid(camera.world_from_cam).matrix(), number, 0.0)
+        placed[frame.name] = Registered(make_rigid(camera.world_from_cam).matrix(), number, 0.0)
     return replace(model, lenses=lenses), placed
 
 

@@ -69,7 +69,7 @@ def solve(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
             gate.check_estimated(_evidence(None, sizes, capture.metadata, links, database), config)
             raise BadInputError("no model could be made of the photos; take more that overlap")
         ctx.progress(len(order), len(order), "lens")
-        chosen, why = lens.choose(result.model, config.lens)
+        chosen, why = lens.choose_lens(result.model, config.lens)
         model = from_reconstruction(chosen, order)
     evidence = _evidence(model, sizes, capture.metadata, links, database)
     (gate.check_known if known else gate.check_estimated)(evidence, config)
@@ -137,7 +137,7 @@ def _size_groups(capture: Capture, config: Config) -> tuple[Groups, dict[int, py
     for frame in capture.frames:
         groups.setdefault(sizes.setdefault((frame.width, frame.height), len(sizes) + 1), []).append(frame)
     start = START_LENS if config.lens == "auto" else config.lens
-    return groups, {n: features.guessed_camera(n, frames, start) for n, frames in groups.items()}
+    return groups, {n: features.guess_camera(n, frames, start) for n, frames in groups.items()}
 
 
 def _evidence(

@@ -13,11 +13,11 @@ from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import CapturedFrame
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, features_of, match, number_of
-from inpaint3d.stages.pose_estimation.model import Model, significant
+from inpaint3d.stages.pose_estimation.model import Model, round_to_digits
 
 Floats = NDArray[np.float64]
 
-LEAST_INLIERS = 12
+MIN_INLIERS = 12
 LARGEST_ERROR_SHARE = 0.008  # of the longest side, for a match to count
 
 
@@ -107,16 +107,16 @@ def _correspondences(
 
 def _pose(xy: Floats, xyz: Floats, lens: pycolmap.Camera, seed: int) -> tuple[Floats, float] | None:
     """Pose [3, 4] by RANSAC and refinement of the pose alone, and its mean error; None with too little evidence."""
-    if len(xy) < LEAST_INLIERS:
+    if len(xy) < MIN_INLIERS:
         return None
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = LARGEST_ERROR_SHARE * max(lens.width, lens.height)
     options.ransac.random_seed = seed
     found = pycolmap.estimate_and_refine_absolute_pose(xy, xyz, lens, options)
-    if found is None or found["num_inliers"] < LEAST_INLIERS:
+    if found is None or found["num_inliers"] < MIN_INLIERS:
         return None
     inliers = np.asarray(found["inlier_mask"], bool)
-    pose = significant(found["cam_from_world"].inverse().matrix())
+    pose = round_to_digits(found["cam_from_world"].inverse().matrix())
     in_cam = (xyz[inliers] - pose[:, 3]) @ pose[:, :3]
     error = np.linalg.norm(np.asarray(lens.img_from_cam(np.ascontiguousarray(in_cam))) - xy[inliers], axis=1)
     return pose, float(error.mean())

@@ -31,6 +31,6 @@ class Config(Closed):
         description="view dependence is on where one pair of observations of a point in five differs in brightness by "
         "more (EV) between far apart directions than between near ones",
     )
-    least_tracks: Annotated[int, Field(ge=1)] = Field(
+    min_tracks: Annotated[int, Field(ge=1)] = Field(
         default=50, description="points with usable colours; below, colours decide nothing"
     )

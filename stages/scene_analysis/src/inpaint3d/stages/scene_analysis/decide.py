@@ -19,7 +19,7 @@ COST: dict[EffectName, float] = {
     "exposure": 1.05,
     "view-dependence": 1.3,
 }
-LEAST_FAR_PAIRS = 200
+MIN_FAR_PAIRS = 200
 
 
 def contraction(points: SparsePoints, config: Config) -> Effect:
@@ -72,7 +72,7 @@ def exposure(views: Sequence[View], seen: Observations, config: Config) -> tuple
     evidence = {"gain_spread_ev": spread, "points": float(seen.points), "views_with_gain": float(len(known))}
     if said:
         evidence["exif_spread_ev"] = by_exif
-    if seen.points >= config.least_tracks:
+    if seen.points >= config.min_tracks:
         wanted = spread > config.exposure_ev
         reason = f"the points' brightness differs between views by {spread:.2f} EV"
     else:
@@ -93,7 +93,7 @@ def view_dependence(
     near, far, pairs = direction_effect(seen, gains, points.xyz.astype(np.float64), centres)
     excess = float(np.sqrt(max(far**2 - near**2, 0.0)))
     evidence = {"near_ev": near, "far_ev": far, "excess_ev": excess, "far_pairs": float(pairs)}
-    if pairs < LEAST_FAR_PAIRS:
+    if pairs < MIN_FAR_PAIRS:
         # Not seen is not absent: a reflection that no pair of views shows costs nothing but time.
         reason = f"only {pairs} pairs of far apart views of one point tell of it, so that it cannot be ruled out"
         return _effect("view-dependence", True, evidence, reason, config)

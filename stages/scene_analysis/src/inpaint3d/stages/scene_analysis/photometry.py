@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 DARKEST, BRIGHTEST = 0.03, 0.95  # sRGB; below is noise, above some channel is clipped
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 ROUNDS = 12
 HUBER_EV = 0.15  # residuals beyond this are outliers rather than noise
 NEAR_DEG, FAR_DEG = 6.0, 15.0
@@ -44,7 +44,7 @@ def observe(views: Sequence[View], points: SparsePoints) -> Observations:
     """Usable brightness along the tracks: neither clipped nor nearly black, and seen in at least two views."""
     lengths = np.diff(points.track_offsets)
     # The longest tracks say most about gains; ties in the points' own order.
-    chosen = np.argsort(-lengths, kind="stable")[:MOST_POINTS]
+    chosen = np.argsort(-lengths, kind="stable")[:MAX_POINTS]
     rows = np.flatnonzero(np.isin(points.track_point, chosen))
     brightness = np.full(len(rows), np.nan)
     for index in np.unique(points.track_frame[rows]):

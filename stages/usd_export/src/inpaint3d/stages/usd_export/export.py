@@ -17,7 +17,7 @@ from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.fusion import corners, fuse
 from inpaint3d.stages.usd_export.guides import visual_hull
 from inpaint3d.stages.usd_export.layer import Content, Scene, write_layer
-from inpaint3d.stages.usd_export.mesh import Mesh, compact, extract, without_floaters
+from inpaint3d.stages.usd_export.mesh import Mesh, compact, extract, remove_floaters
 from inpaint3d.stages.usd_export.package import write_package
 from inpaint3d.stages.usd_export.surface_views import SurfaceView
 from inpaint3d.stages.usd_export.validation import as_document, validate
@@ -37,11 +37,11 @@ class MaskVolume:
     masks: Sequence[Mask]
 
 
-def meshed(name: str, views: Sequence[SurfaceView], box: Box, folder: Path, config: Config) -> Content:
+def make_content(name: str, views: Sequence[SurfaceView], box: Box, folder: Path, config: Config) -> Content:
     """Fuse, extract, lay out and bake one content; its texture is written. Raises BadInputError without a surface."""
     cell, _ = corners(*box, config.grid)
     volume = fuse(views, *box, grid=config.grid, truncation_cells=config.truncation_cells)
-    mesh = without_floaters(extract(volume), config.smallest_piece)
+    mesh = remove_floaters(extract(volume), config.smallest_piece)
     if len(mesh.triangles) == 0:
         raise BadInputError(
             f"the depth of '{name}' fuses to no surface at all in a grid of {config.grid}; the field is "

@@ -47,7 +47,7 @@ def extract(volume: Volume) -> Mesh:
     except RuntimeError:  # seen corners of both signs, but never in one cell
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     placed = volume.low + volume.cell * vertices.astype(np.float64)
-    return without_slivers(Mesh(placed, triangles.astype(np.int64)))
+    return remove_slivers(Mesh(placed, triangles.astype(np.int64)))
 
 
 def _whole_cells(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -60,7 +60,7 @@ def _whole_cells(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return whole
 
 
-def without_slivers(mesh: Mesh) -> Mesh:
+def remove_slivers(mesh: Mesh) -> Mesh:
     """Leave out triangles that have no area, then vertices that none uses."""
     a, b, c = mesh.corners().transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -68,7 +68,7 @@ def without_slivers(mesh: Mesh) -> Mesh:
     return compact(mesh.vertices, mesh.triangles[area > 1e-9 * np.square(longest)])
 
 
-def without_floaters(mesh: Mesh, smallest: float) -> Mesh:
+def remove_floaters(mesh: Mesh, smallest: float) -> Mesh:
     """Leave out connected pieces that hold less than the share `smallest` of all triangles."""
     if len(mesh.triangles) == 0:
         return mesh

@@ -18,7 +18,7 @@ from inpaint3d.scene.capture_io import load_posed
 from inpaint3d.scene.image_io import read_mask
 from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.usd_export.config import Config
-from inpaint3d.stages.usd_export.export import MaskVolume, meshed, write_scene
+from inpaint3d.stages.usd_export.export import MaskVolume, make_content, write_scene
 from inpaint3d.stages.usd_export.layer import Content
 from inpaint3d.stages.usd_export.surface_views import SurfaceView, bounds_of, surface_view
 
@@ -63,7 +63,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
                 f"the field '{field.metadata.label}' shows no surface within {config.reach} scene units in "
                 f"{len(seen)} views; train it longer, or raise reach"
             )
-        contents.append(meshed(name, seen, bounds, folder, config))
+        contents.append(make_content(name, seen, bounds, folder, config))
         tick(f"{name}: {len(contents[-1].mesh.triangles)} triangles")
     mask = _mask_volume(masks, [views[i].name for i in chosen], [views[i].camera for i in chosen])
     metadata = write_scene(folder, contents, [v.name for v in views], [v.camera for v in views], mask, config)

@@ -5,7 +5,7 @@ import numpy as np
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.usd_export.config import Config
-from inpaint3d.stages.usd_export.export import MaskVolume, meshed, write_scene
+from inpaint3d.stages.usd_export.export import MaskVolume, make_content, write_scene
 from inpaint3d.stages.usd_export.surface_views import SurfaceView
 
 TINY = Config(grid=24, texture_size=512)
@@ -25,7 +25,7 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
             SurfaceView(camera, image, depth.astype(np.float32))
             for camera, image, depth in zip(scene.cameras, images, depths, strict=True)
         ]
-        contents.append(meshed(name, views, BOX, folder, TINY))
+        contents.append(make_content(name, views, BOX, folder, TINY))
     mask = MaskVolume((), scene.cameras, list(scene.object_masks))
     outputs.write("usd-scene", write_scene(folder, contents, scene.names, scene.cameras, mask, TINY))
     ctx.progress(1, 1, "stub")

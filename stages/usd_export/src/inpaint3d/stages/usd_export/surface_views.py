@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import FieldView, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.radiance.artifact import reduced
+from inpaint3d.radiance.artifact import reduce_camera
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, read_exr, read_image
 
@@ -38,7 +38,7 @@ def surface_view(
     The surface lies at the median depth: the mean of a ray that grazes an edge lies in the air between two
     surfaces.
     """
-    small = reduced(camera, longest_side)
+    small = reduce_camera(camera, longest_side)
     stored = next((v for v in field.metadata.views if v.name == name), None)
     if stored is not None and (found := _stored(field, stored, camera, max(small.width, small.height))):
         rgb, depth, opacity = found

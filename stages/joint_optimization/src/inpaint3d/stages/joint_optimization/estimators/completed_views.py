@@ -77,7 +77,7 @@ class CompletedViewsEstimator(Guided):
 
 def load_filled(completed: "Artifact[CompletedViews]", setting: Setting) -> "Filled":
     """The training views with their holes filled: `hole` is what was filled. BadInputError for another capture's."""
-    from inpaint3d.radiance.sightings import Sightings
+    from inpaint3d.radiance.line_of_sight import SightLines
     from inpaint3d.scene.image_io import read_codes, read_exr, read_image
     from inpaint3d.scene.visibility import pool_any
     from inpaint3d.stages.joint_optimization.batch import Filled
@@ -98,7 +98,7 @@ def load_filled(completed: "Artifact[CompletedViews]", setting: Setting) -> "Fil
             depth = read_exr(completed.path(one.depth))["depth.Z"]
             h, w = depth.shape
             surfaces.append((view.camera.scaled(w, h), depth, pool_any(views[-1].hole, h, w)))
-    return Filled(views, Sightings.of_surfaces(surfaces, setting.device) if surfaces else None)
+    return Filled(views, SightLines.of_surfaces(surfaces, setting.device) if surfaces else None)
 
 
 def _share_exposure(views: "tuple[MaskedView, ...]", setting: Setting) -> "tuple[MaskedView, ...]":

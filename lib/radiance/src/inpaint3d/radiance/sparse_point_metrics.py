@@ -8,17 +8,17 @@ import torch
 from numpy.typing import NDArray
 
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.line_of_sight import SightLines, opacity_before
 from inpaint3d.radiance.rendering import render
-from inpaint3d.radiance.sightings import Sightings, stopped_before
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 
 # What stops light before this share of the way to a point that the camera saw is no surface.
 FRONT = 0.9
-MOST = 4096
+MAX_SIGHT_LINES = 4096
 
 
-class Agreement(NamedTuple):
+class SparsePointMetrics(NamedTuple):
     """At points as the cameras saw them; `points` counts those looked at."""
 
     depth_error: float
@@ -29,14 +29,14 @@ class Agreement(NamedTuple):
 
 
 @torch.no_grad()
-def agreement(
+def measure_sparse_points(
     field: RadianceField,
     cameras: Sequence[Camera],
     points: SparsePoints,
     *,
     among: NDArray[np.bool_] | None = None,
     block: int = 4096,
-) -> Agreement | None:
+) -> SparsePointMetrics | None:
     """Look from the cameras at the points that they saw (at most 4096 sightings, evenly chosen); None without any.
 
     `points.track_frame` indexes `cameras`. among: which rows of the tracks to look at, if not at all, bool [t].
@@ -44,13 +44,13 @@ def agreement(
     sightings = np.arange(len(points.track_frame)) if among is None else np.flatnonzero(among)
     if not len(sightings):
         return None
-    chosen = sightings[np.unique(np.linspace(0, len(sightings) - 1, MOST).round().astype(int))]
-    sighted = Sightings.of(cameras, points, chosen, field.device)
+    chosen = sightings[np.unique(np.linspace(0, len(sightings) - 1, MAX_SIGHT_LINES).round().astype(int))]
+    sighted = SightLines.of(cameras, points, chosen, field.device)
     found, in_front = [], []
     for start in range(0, len(chosen), block):
         part = slice(start, start + block)
         seen = render(field, sighted.rays[part])
         found.append(seen.median_depth)
-        in_front.append(stopped_before(seen.weights, seen.tdist, FRONT * sighted.distance[part]))
+        in_front.append(opacity_before(seen.weights, seen.tdist, FRONT * sighted.distance[part]))
     error = (torch.cat(found) - sighted.distance).abs() / sighted.distance
-    return Agreement(float(error.quantile(0.5)), float(torch.cat(in_front).mean()), len(chosen))
+    return SparsePointMetrics(float(error.quantile(0.5)), float(torch.cat(in_front).mean()), len(chosen))

@@ -19,7 +19,7 @@ TOLERANCE = 0.03
 
 
 @dataclass(frozen=True)
-class Sightings:
+class SightLines:
     """Rays from cameras to the points that they saw, and the points' distances in scene units."""
 
     rays: Rays
@@ -32,7 +32,7 @@ class Sightings:
         points: SparsePoints,
         among: NDArray[np.bool_] | NDArray[np.int64] | None = None,
         device: torch.device | str = "cpu",
-    ) -> "Sightings":
+    ) -> "SightLines":
         """Of the rows of the tracks that `among` takes; None: of all. `points.track_frame` indexes `cameras`."""
         chosen = slice(None) if among is None else among
         origins = np.stack([camera.centre for camera in cameras])[points.track_frame[chosen]]
@@ -43,7 +43,7 @@ class Sightings:
         cls,
         surfaces: Sequence[tuple[Camera, NDArray[np.floating], NDArray[np.bool_]]],
         device: torch.device | str = "cpu",
-    ) -> "Sightings":
+    ) -> "SightLines":
         """Of the surfaces that cameras see at the chosen of their pixels: (camera, z [h, w], chosen [h, w]) of each."""
         origins, points = [np.empty((0, 3))], [np.empty((0, 3))]
         for camera, depth, chosen in surfaces:
@@ -54,7 +54,7 @@ class Sightings:
     @classmethod
     def _between(
         cls, origins: NDArray[np.floating], points: NDArray[np.floating], device: torch.device | str
-    ) -> "Sightings":
+    ) -> "SightLines":
         """From origins to points, [n, 3] both."""
         offsets = points - origins
         distance = np.linalg.norm(offsets, axis=1)
@@ -67,12 +67,12 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.distance)
 
-    def draw(self, count: int, generator: torch.Generator) -> "Sightings":
+    def draw(self, count: int, generator: torch.Generator) -> "SightLines":
         """`count` of them, drawn with replacement. Their view is the first: nobody looks at their colour."""
         chosen = torch.randint(len(self), (count,), generator=generator, device=generator.device)
         chosen = chosen.to(self.distance.device)
         origins, directions = self.rays.origins[chosen], self.rays.directions[chosen]
-        return Sightings(Rays(origins, directions, torch.zeros_like(chosen)), self.distance[chosen])
+        return SightLines(Rays(origins, directions, torch.zeros_like(chosen)), self.distance[chosen])
 
 
 def line_of_sight_loss(
@@ -85,12 +85,12 @@ def line_of_sight_loss(
     (arXiv:2111.14643); linear here, so that a wrong point pulls no harder than a right one.
     """
     weights, tdist = rendering.weights[part], rendering.tdist[part].detach()
-    before = stopped_before(weights, tdist, (1 - tolerance) * distance)
-    beyond = 1 - stopped_before(weights, tdist, (1 + tolerance) * distance)
+    before = opacity_before(weights, tdist, (1 - tolerance) * distance)
+    beyond = 1 - opacity_before(weights, tdist, (1 + tolerance) * distance)
     return (before + beyond).mean()
 
 
-def stopped_before(
+def opacity_before(
     weights: Float[Tensor, "n s"], tdist: Float[Tensor, "n s+1"], distance: Float[Tensor, " n"]
 ) -> Float[Tensor, " n"]:
     """Opacity that rays have gathered as far as a distance; within an interval it grows evenly."""

@@ -3,8 +3,8 @@ import pytest
 import torch
 
 from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
-from inpaint3d.radiance.agreement import agreement
 from inpaint3d.radiance.fields import RadianceField, Samples
+from inpaint3d.radiance.sparse_point_metrics import measure_sparse_points
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.capture_io import SparsePoints
 
@@ -55,7 +55,7 @@ def on_the_wall(count: int, x: float = 0.0) -> SparsePoints:
 
 
 def test_points_on_the_surface_agree() -> None:
-    found = agreement(Wall(SPEC, 0), CAMERAS, on_the_wall(300), block=100)
+    found = measure_sparse_points(Wall(SPEC, 0), CAMERAS, on_the_wall(300), block=100)
     assert found is not None
     assert found.points == 600
     assert found.depth_error < 0.01
@@ -64,7 +64,7 @@ def test_points_on_the_surface_agree() -> None:
 
 def test_the_error_is_relative_to_the_points_distance() -> None:
     # The wall is met at nine tenths of the way to points that lie behind it: x goes from 0.9 to -0.1.
-    found = agreement(Wall(SPEC, 0), CAMERAS, on_the_wall(300, x=-0.1))
+    found = measure_sparse_points(Wall(SPEC, 0), CAMERAS, on_the_wall(300, x=-0.1))
     assert found is not None
     assert found.depth_error == pytest.approx(0.1, abs=0.01)
 
@@ -72,7 +72,7 @@ def test_the_error_is_relative_to_the_points_distance() -> None:
 def test_fog_in_front_of_the_points_is_counted_and_leaves_the_depth() -> None:
     field = Wall(SPEC, 0)
     field.fog = 0.2
-    found = agreement(field, CAMERAS, on_the_wall(300))
+    found = measure_sparse_points(field, CAMERAS, on_the_wall(300))
     assert found is not None
     # Rays slant: they stay in the fog for a little longer than its depth.
     assert found.floaters == pytest.approx(0.21, abs=0.03)
@@ -80,17 +80,17 @@ def test_fog_in_front_of_the_points_is_counted_and_leaves_the_depth() -> None:
 
 
 def test_at_most_4096_sightings_are_looked_at_and_none_is_no_figure() -> None:
-    many = agreement(Wall(SPEC, 0), CAMERAS, on_the_wall(3000))
+    many = measure_sparse_points(Wall(SPEC, 0), CAMERAS, on_the_wall(3000))
     assert many is not None
     assert many.points == 4096
-    assert agreement(Wall(SPEC, 0), CAMERAS, on_the_wall(0)) is None
+    assert measure_sparse_points(Wall(SPEC, 0), CAMERAS, on_the_wall(0)) is None
 
 
 def test_only_the_sightings_asked_for_are_looked_at() -> None:
     points = on_the_wall(300)
     points.xyz[::2, 0] = -0.1  # every other point lies behind the wall
     before = np.repeat(np.arange(300) % 2 == 1, 2)
-    found = agreement(Wall(SPEC, 0), CAMERAS, points, among=before)
+    found = measure_sparse_points(Wall(SPEC, 0), CAMERAS, points, among=before)
     assert found is not None
     assert (found.points, found.depth_error < 0.01) == (300, True)
-    assert agreement(Wall(SPEC, 0), CAMERAS, points, among=np.zeros(600, bool)) is None
+    assert measure_sparse_points(Wall(SPEC, 0), CAMERAS, points, among=np.zeros(600, bool)) is None

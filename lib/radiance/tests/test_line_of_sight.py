@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from inpaint3d.radiance.rays import joined
+from inpaint3d.radiance.line_of_sight import SightLines, line_of_sight_loss, opacity_before
+from inpaint3d.radiance.rays import join_rays
 from inpaint3d.radiance.rendering import Rendering
-from inpaint3d.radiance.sightings import Sightings, line_of_sight_loss, stopped_before
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.capture_io import SparsePoints
 
@@ -25,21 +25,21 @@ def seen(*weights: float) -> Rendering:
 
 
 def test_rays_lead_from_the_camera_to_the_point_that_it_saw() -> None:
-    sighted = Sightings.of(CAMERAS, POINTS)
+    sighted = SightLines.of(CAMERAS, POINTS)
     met = sighted.rays.origins + sighted.distance[:, None] * sighted.rays.directions
     np.testing.assert_allclose(met, XYZ[[0, 0, 1, 2, 2]], atol=1e-6)
     np.testing.assert_allclose(sighted.rays.origins[1], CAMERAS[1].centre, atol=1e-6)
-    some = Sightings.of(CAMERAS, POINTS, POINTS.track_frame == 0)
+    some = SightLines.of(CAMERAS, POINTS, POINTS.track_frame == 0)
     assert len(some) == 2
     assert torch.equal(some.distance, sighted.distance[[0, 3]])
 
 
 def test_draws_follow_the_generator_and_join_other_rays() -> None:
-    sighted = Sightings.of(CAMERAS, POINTS)
+    sighted = SightLines.of(CAMERAS, POINTS)
     drawn, again = (sighted.draw(40, torch.Generator().manual_seed(3)) for _ in range(2))
     assert torch.equal(drawn.distance, again.distance)
     assert set(drawn.distance.tolist()) == set(sighted.distance.tolist())
-    both = joined([drawn.rays, again.rays])
+    both = join_rays([drawn.rays, again.rays])
     assert both.view is not None
     assert both.shape == (80,)
 
@@ -47,7 +47,7 @@ def test_draws_follow_the_generator_and_join_other_rays() -> None:
 def test_a_point_in_a_cameras_centre_says_nothing_and_breaks_nothing() -> None:
     points = POINTS.select([True, False, False])
     points.xyz[0] = CAMERAS[0].centre
-    sighted = Sightings.of(CAMERAS, points)
+    sighted = SightLines.of(CAMERAS, points)
     assert torch.isfinite(sighted.rays.directions).all()
     assert sighted.distance[0] < 1e-6
 
@@ -55,7 +55,7 @@ def test_a_point_in_a_cameras_centre_says_nothing_and_breaks_nothing() -> None:
 def test_opacity_grows_evenly_within_an_interval() -> None:
     weights = torch.tensor([[0.1, 0.2, 0.4, 0.0]])
     distance = torch.tensor([0.25, 0.9, 1.0, 5.0])
-    found = stopped_before(weights.expand(4, -1), TDIST.expand(4, -1), distance)
+    found = opacity_before(weights.expand(4, -1), TDIST.expand(4, -1), distance)
     assert found.tolist() == pytest.approx([0.05, 0.3, 0.5, 0.7])
 
 
