@@ -88,12 +88,10 @@ class Bench:
         self.scene, self.work, self.threads = scene, work, threads
         self.pipeline, self.store = Pipeline(REPOSITORY / "pipeline.yaml"), FolderStore(work / "store")
         self.changes: dict[str, Parameters] = QUICK if quick else {}
-        settings = [f"{node}.{n}={v}" for node, p in self.changes.items() for n, v in p.items()]
         self.outputs: dict[str, str] = {}
         self._command = [
             str(Path(sys.executable).parent / "inpaint3d"), "run", str(capture), "--mask", str(mask), "--name", scene,
             "--store", str(work / "store"), "--runs-dir", str(work / "runs"),
-            *(word for setting in settings for word in ("--set", setting)),
         ]  # fmt: skip
         self._make("masked-reconstruction")
 
@@ -133,7 +131,10 @@ class Bench:
         return sds_step(Inputs(self.store, stage, self._inputs(JOINT, parameters, self.outputs)), guidance=1.0)
 
     def _make(self, until: str) -> None:
-        subprocess.run([*self._command, "--until", until], cwd=REPOSITORY, check=True)
+        # Settings of a node that does not run are refused.
+        changes = {n: p for n, p in self.changes.items() if n == until or until in self.pipeline.downstream(n)}
+        settings = [word for n, p in changes.items() for k, v in p.items() for word in ("--set", f"{n}.{k}={v}")]
+        subprocess.run([*self._command, *settings, "--until", until], cwd=REPOSITORY, check=True)
         for node in History(self.store).latest(self.scene).nodes:
             self.outputs |= {f"{node.node}.{port}": digest for port, digest in node.outputs.items()}
 
@@ -195,7 +196,8 @@ def table(result: dict[str, Any]) -> str:
     names, measured = (*FIGURES, "wall_s", "cpu_s"), result["measured"]
     default = result["default"]
     lines = [
-        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: seconds of view-completion (where the row fits completed views) and joint-optimization, "
+        "Mean ± standard deviation over the seeds. `wall_s`, `cpu_s`: seconds of view-completion (where the row fits "
+        "completed views) and joint-optimization, "
         f"{result['machine']['cores']} cores of the row's processor.",
         "",
     ]

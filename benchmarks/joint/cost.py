@@ -20,7 +20,7 @@ from inpaint3d.radiance.rendering import render
 from inpaint3d.radiance.training import descend
 from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.config import Config
-from inpaint3d.stages.joint_optimization.guidance import PriorGuide, PriorQuery
+from inpaint3d.stages.joint_optimization.guidance import PriorGuide, draw_query
 from inpaint3d.stages.joint_optimization.loop import Problem, choose_window
 from inpaint3d.stages.joint_optimization.parallel import Ranks
 from inpaint3d.stages.joint_optimization.run import pose
@@ -102,6 +102,8 @@ def _ask(guide: PriorGuide, guidance: float, step: int) -> None:
     hole = torch.zeros(size, size, dtype=torch.bool)
     hole[size // 4 : 3 * size // 4, size // 4 : 3 * size // 4] = True
     patch, times = torch.rand(size, size, 3, generator=generator), TimestepRange(0.5, 0.6, floored=False)
-    x, mask, t, eps, fill = PriorQuery.draw(patch, hole, times, generator, prior.latent_shape)
+    query = draw_query(patch, hole, times, generator, prior.latent_shape)
+    if query.eps is None:
+        raise ValueError("a drawn query has noise")
     with torch.no_grad():
-        prior.predict_noise(eps, t, x, mask, guidance=guidance, noise_fill=fill)
+        prior.predict_noise(query.eps, query.t, query.x, query.mask, guidance=guidance, noise_fill=query.noise_fill)

@@ -7,8 +7,8 @@ import sys
 import pytest
 import yaml
 
-from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Record, open_store
 from inpaint3d.orchestrator import cluster as clusters

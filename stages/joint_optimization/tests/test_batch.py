@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.radiance.line_of_sight import SightLines
+from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.batch import Filled, RayBank

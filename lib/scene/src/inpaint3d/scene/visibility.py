@@ -13,6 +13,7 @@ from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Mask, read_exr
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.morphology import grow
 
 TOLERANCE = 1.5
 """Cells by which a surface point may miss the pixel it came from, seen there and back through another view's depth.
@@ -65,7 +66,8 @@ def shrink_holes(
         points = own.camera.unproject(pixels, own.depth[y, x])
         for other in (*coarse[:index], *coarse[index + 1 :]):
             support[y, x] += find_visible(other, points, own.camera, pixels)
-        unseen = grow_cells(own.hole & (support < min_supporting_views))
+        # One cell more: a seam between what is kept and what is made up needs room to be closed.
+        unseen = grow(own.hole & (support < min_supporting_views), 1)
         reduced.append(replace(view, hole=view.hole & enlarge_cells(unseen, view.hole.shape)))
     return reduced
 
@@ -98,12 +100,3 @@ def enlarge_cells(cells: NDArray[Cell], shape: tuple[int, ...]) -> NDArray[Cell]
     y = (np.arange(shape[0]) + 0.5) * cells.shape[0] / shape[0]
     x = (np.arange(shape[1]) + 0.5) * cells.shape[1] / shape[1]
     return cells[y.astype(np.int64)[:, None], x.astype(np.int64)[None]]
-
-
-def grow_cells(mask: Mask) -> Mask:
-    """One cell to every side: a seam between what is kept and what is made up needs room to be closed."""
-    padded = np.pad(mask, 1)
-    h, w = mask.shape
-    return np.logical_or.reduce(
-        [padded[1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
-    )

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inpaint3d.contracts.models.artifacts import PriorSpec
-from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import PriorSpec
 from inpaint3d.diffusion.judging import fill_each_way, hole_psnr
 from inpaint3d.diffusion.parallel import own_parts, rank
 from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays

@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.radiance.rays import CameraStack, Rays, join_rays
 from inpaint3d.radiance.line_of_sight import SightLines
+from inpaint3d.radiance.rays import CameraStack, Rays, join_rays
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.masked_views import MaskedView
 

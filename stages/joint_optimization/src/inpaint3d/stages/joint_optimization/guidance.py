@@ -5,7 +5,7 @@ One interface, `Guide`; which one, and with what parameters, is the estimator's 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from inpaint3d.diffusion.denoiser import Denoiser
-from inpaint3d.diffusion.distillation import dataset_gradient, denoised_target
+from inpaint3d.diffusion.distillation import PriorQuery, dataset_gradient, denoised_target
 from inpaint3d.diffusion.low_rank import LowRankCopy
 from inpaint3d.perception.lpips import enlarge, load
 from inpaint3d.scene.windows import Window
@@ -57,38 +57,25 @@ class Guide(Protocol):
         ...
 
 
-class PriorQuery(NamedTuple):
-    """A patch as a prior is asked about it: x in [-1, 1], batch of one; t, noise and fill are fresh (S3).
+def draw_query(
+    patch: Patch, hole: Hole, timesteps: Timesteps, generator: torch.Generator, latent_shape: tuple[int, int, int]
+) -> PriorQuery:
+    """A query about a patch, as a batch of one, at a time within `timesteps`; time, noise and fill are fresh (S3).
 
-    eps is of the shape of the patch's code, which for a prior over pixels is the patch's.
+    latent_shape: of the patch's code, which for a prior over pixels is the patch's. ValueError without times.
     """
+    if timesteps is None:
+        raise ValueError("a prior is asked at a diffusion time, and the estimator has none")
+    t = timesteps.low + (timesteps.high - timesteps.low) * torch.rand((), generator=generator)
+    x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
+    eps, noise_fill = (torch.randn(1, *shape, generator=generator).to(x) for shape in (latent_shape, x.shape[1:]))
+    return PriorQuery(x, hole[None, None].to(x), t.reshape(1).to(x), eps, noise_fill)
 
-    x: Float[Tensor, "1 3 h w"]
-    mask: Float[Tensor, "1 1 h w"]
-    t: Float[Tensor, "1"]
-    eps: Float[Tensor, "1 c y x"]
-    noise_fill: Float[Tensor, "1 3 h w"]
 
-    @classmethod
-    def draw(
-        cls,
-        patch: Patch,
-        hole: Hole,
-        timesteps: Timesteps,
-        generator: torch.Generator,
-        latent_shape: tuple[int, int, int],
-    ) -> "PriorQuery":
-        """A query about a patch at a time within `timesteps`; ValueError where there are none to draw from."""
-        if timesteps is None:
-            raise ValueError("a prior is asked at a diffusion time, and the estimator has none")
-        t = timesteps.low + (timesteps.high - timesteps.low) * torch.rand((), generator=generator)
-        x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
-        eps, noise_fill = (torch.randn(1, *shape, generator=generator).to(x) for shape in (latent_shape, x.shape[1:]))
-        return cls(x, hole[None, None].to(x), t.reshape(1).to(x), eps, noise_fill)
-
-    def scale_answer(self, gradient: Float[Tensor, "1 3 h w"]) -> tuple[Patch, float]:
-        """As that of a mean over the patch's pixels, of a picture in [-1, 1]: a factor 2 and a division (L8)."""
-        return gradient[0].permute(1, 2, 0) * (2.0 / self.mask.numel()), float(self.t)
+def scale_answer(gradient: Float[Tensor, "1 3 h w"]) -> Patch:
+    """As that of a mean over the patch's pixels, of a picture in [-1, 1]: a factor 2 and a division (L8)."""
+    _, _, height, width = gradient.shape
+    return gradient[0].permute(1, 2, 0) * (2.0 / (height * width))
 
 
 class Stateless:
@@ -122,8 +109,8 @@ class PriorGuide:
         timesteps: Timesteps,
         generator: torch.Generator,
     ) -> tuple[Patch, float]:
-        query = PriorQuery.draw(patch, hole, timesteps, generator, self.prior.latent_shape)
-        answer = query.scale_answer(self.estimate(query))
+        query = draw_query(patch, hole, timesteps, generator, self.prior.latent_shape)
+        answer = scale_answer(self.estimate(query)), float(query.t)
         if self.copy is not None and timesteps is not None:
             self.copy.learn(query.x, query.mask, generator, (timesteps.low, timesteps.high))
         return answer
@@ -151,15 +138,13 @@ class DatasetGuide:
     def gradient(
         self, patch: Patch, hole: Hole, window: Window, timesteps: Timesteps, generator: torch.Generator
     ) -> tuple[Patch, float]:
-        query = PriorQuery.draw(patch, hole, timesteps, generator, self.prior.latent_shape)
-        x, mask, t, eps, fill = query
+        query = draw_query(patch, hole, timesteps, generator, self.prior.latent_shape)
         if self._seen[window.view] % self._every == 0:
-            made = denoised_target(
-                self.prior, x, mask, t, eps, guidance=self._guidance, noise_fill=fill, steps=self._steps
-            )
+            made = denoised_target(self.prior, query, guidance=self._guidance, steps=self._steps)
             self._targets[window.view] = made[0].cpu()
         self._seen[window.view] += 1
-        return query.scale_answer(dataset_gradient(x, mask, self._targets[window.view][None].to(x)))
+        target = self._targets[window.view][None].to(query.x)
+        return scale_answer(dataset_gradient(query.x, query.mask, target)), float(query.t)
 
     def state(self) -> dict[str, Tensor]:
         return {"targets": self._targets, "seen": self._seen}

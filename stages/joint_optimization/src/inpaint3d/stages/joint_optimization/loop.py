@@ -14,8 +14,8 @@ from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
-from inpaint3d.radiance.optim import Adam, learning_rate
 from inpaint3d.radiance.line_of_sight import SightLines
+from inpaint3d.radiance.optim import Adam, scheduled_rate
 from inpaint3d.radiance.training import descend, proposal_anneal
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
 from inpaint3d.scene.windows import Window, draw_window
@@ -78,13 +78,8 @@ class Problem:
     def rate(self, step: int) -> float:
         """The learning rate of a step (N7)."""
         optimizer = self.config.optimizer
-        return (1.0 if self.fresh else optimizer.warm_start_lr_scale) * learning_rate(
-            step,
-            initial=optimizer.learning_rate,
-            final=optimizer.final_learning_rate,
-            steps=optimizer.learning_rate_steps or self.config.steps,
-            warmup=optimizer.learning_rate_warmup,
-        )
+        scale = 1.0 if self.fresh else optimizer.warm_start_lr_scale
+        return scale * scheduled_rate(step, optimizer, self.config.steps)
 
     def terms(self, step: int, ranks: Ranks) -> tuple[Terms, dict[str, float]]:
         """The weighted terms of a rank at a step, and how strongly the prior pushed.
@@ -154,12 +149,8 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
     held_out = HeldOut.at_random(
         [KnownPhoto(v.camera, v.image, v.known) for v in problem.scene.test], config.score_pixels, field.device
     )
-    optimizer = Adam(
-        field,
-        network_scale=config.optimizer.network_rate_share,
-        hash_decay=config.loss_weights.hash_decay,
-        sparse=config.optimizer.sparse_adam,
-        before_step=lambda: ranks.average(field.parameters()),
+    optimizer = Adam.of(
+        field, config.optimizer, config.loss_weights, before_step=lambda: ranks.average(field.parameters())
     )
     # A checkpoint holds a stream; here every step has its own.
     unused = torch.Generator()

@@ -2,9 +2,9 @@
 
 from typing import get_args
 
+from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.contracts.models.artifacts import Effect, EffectPlan
 from inpaint3d.contracts.models.artifacts.effects import EffectName
-from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.stages.scene_analysis.config import Config
 
 

@@ -18,8 +18,9 @@ from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.morphology import grow, grow_square, label_parts
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
-from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, find_visible, grow_cells
+from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.example import fill_by_example
@@ -67,11 +68,16 @@ class Draft:
         size = (self.view.camera.width, self.view.camera.height)
         return 1 / cv2.resize(1 / self.coarse.depth.astype(np.float64), size, interpolation=cv2.INTER_LINEAR)
 
+    @cached_property
+    def surely_known(self) -> Mask:
+        """Known pixels [h, w] around which all are known, so that interpolation reads nothing else."""
+        return ~grow(~self.view.known, 1)
+
     @property
     def gaps(self) -> Mask:
         """What is missing, without its cracks."""
-        square = np.ones((MIN_GAP, MIN_GAP), np.uint8)
-        return cv2.morphologyEx(self.missing.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
+        core = ~grow_square(~self.missing, MIN_GAP // 2)
+        return grow_square(core, MIN_GAP // 2)
 
     def fill(self, where: Mask, colours: Image, sources: Sources | int) -> None:
         """Take `where` [h, w] from `colours` [h, w, 3], which came from `sources` [h, w]."""
@@ -151,10 +157,10 @@ def _restore_exposure(draft: Draft, appearance: AppearanceMap) -> Image:
 def _start_draft(index: int, view: MaskedView, depth: NDArray[np.float32], picture: Image) -> Draft:
     coarse = coarsen(view, depth)
     # One cell inside: next to a mask its object shows through, and interpolation reads beyond.
-    coarse = replace(coarse, known=~grow_cells(~coarse.known))
+    coarse = replace(coarse, known=~grow(~coarse.known, 1))
     blank = np.where(view.known[..., None], picture, np.float32(0))
     sources = np.zeros(view.hole.shape, np.uint16)
-    return Draft(index, view, coarse, blank, view.hole.copy(), grow_cells(coarse.hole), sources)
+    return Draft(index, view, coarse, blank, view.hole.copy(), grow(coarse.hole, 1), sources)
 
 
 def _recover_all(drafts: Sequence[Draft], min_supporting_views: int, tick: Callable[[int, str], None]) -> None:
@@ -194,11 +200,11 @@ def _recover(
     chosen = np.where(own.view.hole, enlarge_cells(chosen, own.view.hole.shape), -1)
     where, colours = np.zeros_like(own.view.hole), own.picture.copy()
     for index in np.unique(chosen[chosen >= 0]):
-        there = drafts[index].view
+        there = drafts[index]
         y, x = np.nonzero(chosen == index)
         points = own.view.camera.unproject(np.stack([x + 0.5, y + 0.5], -1), own.depth[y, x])
-        xy, z = there.camera.project(points)
-        sound = _surely_known(there, xy, z)
+        xy, z = there.view.camera.project(points)
+        sound = _find_surely_known(there, xy, z)
         where[y[sound], x[sound]] = True
         colours[y[sound], x[sound]] = sample_bilinear(photos[index], xy[sound])
     return sure, where, colours, (FIRST_PHOTO + chosen.clip(min=0)).astype(np.uint16)
@@ -210,11 +216,11 @@ def _look_at(points: NDArray[np.float64], draft: Draft) -> NDArray[np.float64]:
     return towards / np.linalg.norm(towards, axis=-1, keepdims=True)
 
 
-def _surely_known(view: MaskedView, xy: NDArray[np.float64], z: NDArray[np.float64]) -> Mask:
+def _find_surely_known(draft: Draft, xy: NDArray[np.float64], z: NDArray[np.float64]) -> Mask:
     """Whether every pixel that interpolation at `xy` [n, 2] reads is known."""
-    inside = view.camera.inside(xy, z)
+    inside = draft.view.camera.inside(xy, z)
     x, y = (np.where(inside, xy[:, axis], 0).astype(np.int64) for axis in (0, 1))
-    return inside & (cv2.erode(view.known.astype(np.uint8), np.ones((3, 3), np.uint8))[y, x] > 0)
+    return inside & draft.surely_known[y, x]
 
 
 def _span_unsure(draft: Draft) -> None:
@@ -233,11 +239,11 @@ def _take_painting(draft: Draft, painting: Painting, appearance: AppearanceMap) 
 def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
     """Close the cracks, then fill each gap by example from the surfaces around it."""
     gaps = draft.gaps
-    cracks = draft.missing & ~grow_cells(gaps)
+    cracks = draft.missing & ~grow(gaps, 1)
     draft.fill(cracks, fill_telea(draft.picture, draft.missing), SMOOTH)
     points = draft.view.camera.unproject(draft.view.camera.pixel_centres(), draft.depth)
-    count, parts = cv2.connectedComponents(draft.missing.astype(np.uint8))
-    for part in range(1, count):
+    parts, count = label_parts(draft.missing)
+    for part in range(1, count + 1):
         gap = parts == part
         middle = np.median(points[gap], 0)
         apart = np.linalg.norm(points - middle, axis=-1)

@@ -26,9 +26,4 @@ class DenoisedTarget(Narrowing, PriorEstimator):
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
         g, steps = self.guidance, self.denoise_steps
-        return PriorGuide(
-            prior,
-            lambda q: denoised_target_gradient(
-                prior, q.x, q.mask, q.t, q.eps, guidance=g, noise_fill=q.noise_fill, steps=steps
-            ),
-        )
+        return PriorGuide(prior, lambda query: denoised_target_gradient(prior, query, guidance=g, steps=steps))

@@ -28,7 +28,5 @@ class Nfsd(Narrowing, PriorEstimator):
         from inpaint3d.diffusion.distillation import nfsd_gradient
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
-        return PriorGuide(
-            prior,
-            lambda q: nfsd_gradient(prior, q.x, q.mask, q.t, q.eps, guidance=self.guidance, noise_fill=q.noise_fill),
-        )
+        g = self.guidance
+        return PriorGuide(prior, lambda query: nfsd_gradient(prior, query, guidance=g))

@@ -26,7 +26,4 @@ class Sdi(Narrowing, PriorEstimator):
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
         g, steps = self.guidance, self.inversion_steps
-        return PriorGuide(
-            prior,
-            lambda q: sdi_gradient(prior, q.x, q.mask, q.t, guidance=g, noise_fill=q.noise_fill, steps=steps),
-        )
+        return PriorGuide(prior, lambda query: sdi_gradient(prior, query, guidance=g, steps=steps))

@@ -22,7 +22,5 @@ class Sds(Narrowing, PriorEstimator):
         from inpaint3d.diffusion.distillation import sds_gradient
         from inpaint3d.stages.joint_optimization.guidance import PriorGuide
 
-        return PriorGuide(
-            prior,
-            lambda q: sds_gradient(prior, q.x, q.mask, q.t, q.eps, guidance=self.guidance, noise_fill=q.noise_fill),
-        )
+        g = self.guidance
+        return PriorGuide(prior, lambda query: sds_gradient(prior, query, guidance=g))

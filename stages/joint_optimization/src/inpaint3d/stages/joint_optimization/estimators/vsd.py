@@ -42,8 +42,4 @@ class Vsd(Narrowing, PriorEstimator):
             raise TypeError(f"a copy learns of the trained prior alone, not of {type(prior).__name__}")
         copy = LowRankCopy(prior, rank=self.copy_rank, rate=self.copy_learning_rate, seed=seed)
         g = self.guidance
-        return PriorGuide(
-            prior,
-            lambda q: vsd_gradient(prior, copy.network, q.x, q.mask, q.t, q.eps, guidance=g, noise_fill=q.noise_fill),
-            copy,
-        )
+        return PriorGuide(prior, lambda query: vsd_gradient(prior, copy.network, query, guidance=g), copy)
