@@ -2,7 +2,7 @@
 
 import pytest
 
-from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.orchestrator.parameters import combine_parameters
 from tests.conftest import REPOSITORY
 
@@ -13,25 +13,36 @@ FIELD = {
     "proposal_levels": 10, "proposal_finest": 8192, "proposal_log2_table": 21,
 }  # fmt: skip
 BOTH = {
-    "estimator": "sds", "start": "fresh", "hole": "as-masked", "distill_every": 1, "diffuse_start": True,
+    "start": "fresh",
     "rays": 2**16, "architecture": FIELD,  # N2, N3, N8
-    "learning_rate": 1e-2, "final_learning_rate": 1e-3, "learning_rate_steps": 2200, "learning_rate_warmup": 100,  # N7
-    "hash_decay_weight": 0.1,  # N9
-    "reconstruction_weight": 1.0, "interlevel_weight": 1.0, "distortion_weight": 0.005,  # L3
-    "depth_patches": 4, "depth_patch_size": 64,  # L6
-    "sight_weight": 0.0,  # the paper knows no sparse points
-    "weight_warmup": 100,  # S6
-    "t_min": 0.2, "t_max": 0.95, "t_width": 0.2, "t_floor": 0.02, "schedule_steps": 2200,  # S9
-    "span_first": 0.711, "span_last": 0.711,  # S1
+    "optimizer": {
+        "learning_rate": 1e-2, "final_learning_rate": 1e-3, "learning_rate_steps": 2200, "learning_rate_warmup": 100,
+    },  # N7
+    "loss_weights": {
+        "reconstruction": 1.0, "interlevel": 1.0, "distortion": 0.005,  # L3
+        "hash_decay": 0.1,  # N9
+        "line_of_sight": 0.0,  # the paper knows no sparse points
+    },
+    "estimator": {
+        "name": "sds", "hole": "as-masked", "distill_every": 1, "diffuse_start": True,
+        "weight_warmup": 100,  # S6
+        "t_min": 0.2, "t_max": 0.95, "t_width": 0.2, "t_floor": 0.02, "schedule_steps": 2200,  # S9
+        "span_first": 0.711, "span_last": 0.711,  # S1
+    },
 }  # fmt: skip
 OWN = {
     "paper": {
-        "guidance": 8.0, "weight": 0.1, "weight_decay_to": 1.0, "warmup_steps": 200, "centre_steps": 50,
-        "steps": 1600, "depth_weight": 1e-4,
-    },  # S5 to S8, S11, L3
+        "steps": 1600, "loss_weights": {"depth": 1e-4},  # S11, L3
+        "depth_patches": 4, "depth_patch_size": 64,  # L6
+        "estimator": {
+            "guidance": 8.0, "weight": 0.1, "weight_decay_to": 1.0, "warmup_steps": 200, "centre_steps": 50,
+        },  # S5 to S8
+    },
     "spin-nerf": {
-        "guidance": 5.0, "weight": 2.0, "weight_decay_to": 0.25, "warmup_steps": 400, "centre_steps": 0,
-        "steps": 1200, "depth_weight": 0.0,
+        "steps": 1200, "loss_weights": {"depth": 0.0},
+        "estimator": {
+            "guidance": 5.0, "weight": 2.0, "weight_decay_to": 0.25, "warmup_steps": 400, "centre_steps": 0,
+        },
     },  # S13
 }  # fmt: skip
 
@@ -39,10 +50,8 @@ OWN = {
 @pytest.mark.parametrize("preset", OWN)
 def test_the_joint_optimisation_has_the_paper_s_numbers(preset):
     chosen = combine_parameters(PIPELINE, "joint-optimization", preset, {})
-    field = chosen["architecture"]
-    chosen["architecture"] = {name: field[name] for name in FIELD}  # the others are the project's own
-    wanted = BOTH | OWN[preset]
-    assert {name: chosen[name] for name in wanted} == wanted
+    for wanted in (BOTH, OWN[preset]):
+        assert merge_parameters(chosen, wanted) == chosen
 
 
 @pytest.mark.parametrize("preset", OWN)
@@ -50,12 +59,12 @@ def test_the_joint_optimisation_has_the_paper_s_numbers(preset):
     "node", ["nerf-pretraining", "masked-reconstruction", "continued-reconstruction", "joint-optimization"]
 )
 def test_the_paper_s_fields_learn_nothing_from_sparse_points(node, preset):
-    assert combine_parameters(PIPELINE, node, preset, {})["sight_weight"] == 0.0
+    assert combine_parameters(PIPELINE, node, preset, {})["loss_weights"]["line_of_sight"] == 0.0
 
 
 def test_a_patch_of_the_paper_is_its_prior_s_pixels():
     """S1: at 360 x 640 the asked share of the short side is 256 pixels, one for each of the prior's."""
-    share = PIPELINE.parameters("joint-optimization", "paper")["span_first"]
+    share = PIPELINE.parameters("joint-optimization", "paper")["estimator"]["span_first"]
     assert round(share * 360) == PIPELINE.parameters("diffusion-training", "paper")["prior"]["size"] == 256
 
 
@@ -65,8 +74,8 @@ def test_what_is_compared_with_the_result_takes_as_many_steps():
             combine_parameters(PIPELINE, node, preset, {})
             for node in ("joint-optimization", "continued-reconstruction")
         )
-        assert (joint["steps"], joint["rays"], joint["depth_weight"]) == (
+        assert (joint["steps"], joint["rays"], joint["loss_weights"]) == (
             continued["steps"],
             continued["rays"],
-            continued["depth_weight"],
+            continued["loss_weights"],
         ), preset
