@@ -130,3 +130,15 @@ def test_ports_that_x_reads_names_have_to_be_there(toy):
     file.write_text(file.read_text().replace("diffusers|prior", "diffusers|priors"))
     with pytest.raises(ConfigurationError, match="x-reads of estimator names priors, which is no input of its stage"):
         configured(toy)
+
+
+def test_a_control_that_runs_anyway_is_scored_only_where_it_is_asked_for(toy):
+    """`known` is what join starts from; among the controls, evaluation sees it with --compare alone."""
+    text = toy.path.read_text()
+    toy.path.write_text(text.replace("compare: [control]", "compare: [known, control]"))
+    again = Pipeline(toy.path)
+    plain, compared = configured(again), configured(again, compare=True)
+    assert "known" in plain.pipeline.nodes
+    assert plain.pipeline.references("score") == {"fields": ["join.radiance-field"]}
+    assert plain.pipeline.references("join")["initial-field"] == ["known.radiance-field"]
+    assert "known.radiance-field" in compared.pipeline.references("score")["fields"]

@@ -110,7 +110,10 @@ def prune(
             kept.add(node)
             waiting += _find_sources(pipeline, node, {u.port for u in unread[node]})
     there = {*kept, "external"}
-    inputs = {node: _keep_inputs(pipeline, node, {u.port for u in unread[node]}, there) for node in pipeline.order}
+    controls = set(pipeline.spec.spec.compare) - set(wanted)
+    inputs = {
+        node: _keep_inputs(pipeline, node, {u.port for u in unread[node]}, there, controls) for node in pipeline.order
+    }
     return PrunedPipeline(
         pipeline=pipeline.keep({node: inputs[node] for node in pipeline.order if node in kept}),
         whole=pipeline,
@@ -126,13 +129,15 @@ def _find_sources(pipeline: Pipeline, node: str, unread: set[str]) -> list[str]:
 
 
 def _keep_inputs(
-    pipeline: Pipeline, node: str, unread: set[str], there: Collection[str]
+    pipeline: Pipeline, node: str, unread: set[str], there: Collection[str], controls: Collection[str]
 ) -> dict[str, Reference | list[Reference]]:
-    """What a node reads of the nodes that are there."""
+    """What a node reads of the nodes that are there; a weak port leaves controls out that nobody wants to see."""
     ports = pipeline.stages[node].spec.inputs
     found: dict[str, Reference | list[Reference]] = {}
     for port, references in pipeline.references(node).items():
-        left = [] if port in unread else [r for r in references if r.split(".")[0] in there]
+        passed_over = controls if ports[port].weak else ()
+        sources = [(r, r.split(".")[0]) for r in ([] if port in unread else references)]
+        left = [r for r, source in sources if source in there and source not in passed_over]
         if left:
             found[port] = left if ports[port].list else left[0]
         elif not ports[port].optional and node in there:

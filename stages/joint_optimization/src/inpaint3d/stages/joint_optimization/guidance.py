@@ -172,7 +172,12 @@ class PictureGuide(Stateless):
     ) -> tuple[Patch, float]:
         picture = torch.from_numpy(np.ascontiguousarray(window.sample(self._pictures[window.view]))).to(patch)
         rendered = patch.detach().requires_grad_()
-        pair = torch.stack([torch.where(hole[..., None], rendered, picture), picture])
-        made, wanted = enlarge(pair.permute(0, 3, 1, 2) * 2 - 1).split(1)
-        (gradient,) = torch.autograd.grad(load("vgg").difference(made, wanted).sum(), rendered)
+        # Apart: what is wanted needs no graph, which would cost as much backwards again.
+        made = _batch(torch.where(hole[..., None], rendered, picture))
+        (gradient,) = torch.autograd.grad(load("vgg").difference(made, _batch(picture)).sum(), rendered)
         return gradient, float("nan")
+
+
+def _batch(picture: Patch) -> Float[Tensor, "1 3 h w"]:
+    """A picture in [0, 1] as LPIPS takes it."""
+    return enlarge(picture.permute(2, 0, 1)[None] * 2 - 1)
