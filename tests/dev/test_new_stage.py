@@ -72,8 +72,10 @@ def test_the_pipeline_differs_by_the_new_node_alone(checkout):
         "stage": "stages/relighting",
         "inputs": {"radiance-field": "nerf-pretraining.radiance-field"},
     }
+    assert documents[1]["spec"]["wants"].pop() == "relighting"
     assert documents[0] == documents[1]
-    assert set(before.splitlines()) <= set(after.splitlines()), "comments too stay as they are"
+    changed = set(before.splitlines()) - set(after.splitlines())
+    assert all(line.lstrip().startswith("wants: [") for line in changed), "comments too stay as they are"
 
 
 def test_a_node_is_added_wherever_the_stages_end(tmp_path):
@@ -83,6 +85,18 @@ def test_a_node_is_added_wherever_the_stages_end(tmp_path):
     assert yaml.safe_load(path.read_text())["spec"]["stages"][1] == {
         "name": "c", "stage": "stages/c", "inputs": {"x": "a.x"}}  # fmt: skip
     assert path.read_text().endswith("\n\n  # The last.\n  defaultPreset: b\n")
+
+
+@pytest.mark.parametrize("wants", ["  wants: [a]  # of a run\n", "  wants:\n    - a\n", ""])
+def test_a_new_node_is_wanted_where_wants_are_named(tmp_path, wants):
+    """Else nothing would read its result, and it would never run."""
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(f"spec:\n  stages:\n    - name: a\n      inputs: {{}}\n{wants}  defaultPreset: b\n")
+    wire(path, "c", "c", "x", "a.x")
+    read = yaml.safe_load(path.read_text())["spec"]
+    assert read.get("wants") == (["a", "c"] if wants else None)
+    assert [node["name"] for node in read["stages"]] == ["a", "c"]
+    assert read["defaultPreset"] == "b"
 
 
 def test_a_schema_is_named_three_times(tmp_path):

@@ -7,10 +7,10 @@ from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.line_of_sight import line_of_sight_loss
 from inpaint3d.radiance.losses import charbonnier, depth_smoothness_loss, distortion_loss, interlevel_loss
-from inpaint3d.radiance.rays import Rays, camera_rays
+from inpaint3d.radiance.rays import Rays, camera_rays, join_rays
 from inpaint3d.radiance.rendering import BACKGROUND, render
 from inpaint3d.scene.synthetic import SyntheticScene
-from inpaint3d.stages.joint_optimization.batch import Batch, joined
+from inpaint3d.stages.joint_optimization.batch import Batch
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.distil import Distilled
 from inpaint3d.stages.joint_optimization.objective import Terms, gradient_norms, step_terms
@@ -41,7 +41,7 @@ def batch(room: SyntheticScene) -> Batch:
     patch = camera_rays(room.cameras[1])
     squares = [Rays(patch.origins[a : a + 4, 8:12], patch.directions[a : a + 4, 8:12]).flatten() for a in (3, 20)]
     target = torch.rand(KNOWN, 3, generator=torch.Generator().manual_seed(1))
-    return Batch(joined([first, *squares]), target, torch.empty(0), PATCHES)
+    return Batch(join_rays([first, *squares]), target, torch.empty(0), PATCHES)
 
 
 def terms_of(field: RadianceField, batch: Batch, distilled: Distilled | None = None, weight: float = 0.0) -> Terms:

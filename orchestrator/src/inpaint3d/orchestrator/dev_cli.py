@@ -120,19 +120,31 @@ def register_schema(registry: Path, module: str, model: str, schema: str) -> Non
 
 
 def wire(pipeline: Path, name: str, folder: str, port: str, reads: str) -> None:
-    """Add a node at the end of a pipeline's stages, leaving every other line as it is."""
+    """Add a node at the end of a pipeline's stages and want its result, leaving every other line as it is."""
     text = pipeline.read_text()
-    stages = _value(_value(cast(yaml.Node, yaml.compose(text, yaml.SafeLoader)), "spec"), "stages")
+    spec = _value(cast(yaml.Node, yaml.compose(text, yaml.SafeLoader)), "spec")
+    stages = cast(yaml.Node, _value(spec, "stages"))
     lines = text.splitlines(keepends=True)
     end = stages.end_mark.line
     while end and (not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#")):
         end -= 1
     indent = " " * (stages.start_mark.column)
     node = [f"- name: {name}", f"  stage: stages/{folder}", "  inputs:", f"    {port}: {reads}"]
-    lines.insert(end, "\n" + "".join(f"{indent}{line}\n" for line in node))
+    insertions = {end: "\n" + "".join(f"{indent}{line}\n" for line in node)}
+    wants = _value(spec, "wants")
+    if isinstance(wants, yaml.SequenceNode) and wants.value:
+        last = cast(yaml.Node, wants.value[-1])
+        if wants.flow_style:
+            at, line = last.end_mark.column, lines[last.end_mark.line]
+            lines[last.end_mark.line] = f"{line[:at]}, {name}{line[at:]}"
+        else:
+            insertions[last.end_mark.line + 1] = f"{' ' * wants.start_mark.column}- {name}\n"
+    for line, addition in sorted(insertions.items(), reverse=True):
+        lines.insert(line, addition)
     pipeline.write_text("".join(lines))
 
 
-def _value(node: yaml.Node, key: str) -> yaml.Node:
-    pairs = cast(list[tuple[yaml.ScalarNode, yaml.Node]], node.value)
-    return next(value for name, value in pairs if name.value == key)
+def _value(node: yaml.Node | None, key: str) -> yaml.Node | None:
+    """What a mapping has under a key; None where it has none."""
+    pairs = cast(list[tuple[yaml.ScalarNode, yaml.Node]], node.value if node else [])
+    return next((value for name, value in pairs if name.value == key), None)
