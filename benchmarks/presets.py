@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 
 from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.orchestrator.configure import Settings, configure
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "presets.json"
@@ -31,15 +32,16 @@ def measure(preset: str) -> dict:
             ],
             cwd=REPOSITORY, check=True,
         )  # fmt: skip
-        return summary(json.loads((Path(folder) / "runs" / preset / "metrics.json").read_text()))
+        return summarize(preset, json.loads((Path(folder) / "runs" / preset / "metrics.json").read_text()))
 
 
-def summary(report: dict) -> dict:
+def summarize(preset: str, report: dict) -> dict:
     """The figures of the table from a run's metrics.json."""
     protocol = next(p for p in report["protocols"] if p["name"] == PROTOCOL)
-    # The scores have the controls too; the costs are those of a run without them.
-    controls = Pipeline(REPOSITORY / "pipeline.yaml").spec.spec.compare
-    stages = [s for s in report["stages"] if s["status"] != "left-out" and s["node"] not in controls]
+    # The scores have the controls too; the costs are those of the nodes that run without --compare.
+    given = ("capture", "mask-request", "pretrained-prior")
+    left_out = configure(Pipeline(REPOSITORY / "pipeline.yaml"), Settings(preset), given).left_out
+    stages = [s for s in report["stages"] if s["status"] != "left-out" and s["node"] not in left_out]
     methods: dict[str, dict[str, float]] = {}
     for metric in protocol["metrics"]:
         methods.setdefault(metric["method"], {})[metric["name"]] = metric["value"]
@@ -88,7 +90,7 @@ def main() -> None:
     for preset in options.run:
         results[preset] = measure(preset)
     for preset, path in options.from_run:
-        results[preset] = summary(json.loads(Path(path).read_text()))
+        results[preset] = summarize(preset, json.loads(Path(path).read_text()))
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     readme = REPOSITORY / "README.md"
