@@ -93,8 +93,8 @@ class InpaintingPrior(nn.Module):
         """The network's raw output for z_t as `shown`; its meaning is `spec.prediction`."""
         channels = [z, fill]
         if self.spec.prediction == "residual":
-            # Not z: near t = 1 it is all noise, which the network would first have to learn to ignore. The linear guess
-            # says as much about x, and fades into the fill by itself.
+            # z itself would be all noise near t = 1, and the network would have to learn to ignore it. The linear guess
+            # holds the same information about x, and becomes the fill there.
             guess = self.parameterisation(t).linear_guess(z, fill)
             spread = math.sqrt(pixel_variance(self.spec.residual_bands)) * torch.tensor(self.spec.residual_colours)
             channels = [to_opponent(guess - fill) / spread.to(z)[:, None, None], fill]

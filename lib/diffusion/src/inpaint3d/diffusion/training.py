@@ -124,7 +124,7 @@ def _error(prior: InpaintingPrior, x: Image, eps: Image, t: Tensor, fill: Image,
     output = prior(z, t, fill, hole)
     if prior.spec.prediction != "residual":
         return output - parameterisation.target(x, eps, fill)
-    # In units of what a white guess of the same variance would leave over (EDM's weight): in units of each band the
+    # Weighted by the error of a guess with one variance for all bands (EDM's weight). Weighted band by band, the
     # finest, three quarters of all numbers, would drown the coarse ones that matter to the eye.
     variance = pixel_variance(prior.spec.residual_bands) * float(np.square(prior.spec.residual_colours).mean())
     unit = s * (variance / (a**2 * variance + s**2)).sqrt()

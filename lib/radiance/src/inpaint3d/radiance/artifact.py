@@ -18,7 +18,7 @@ from inpaint3d.scene.normals import normals_of
 if TYPE_CHECKING:
     from inpaint3d.radiance.fields import RadianceField
 
-# Where more light goes through than stops there is no surface to have a normal.
+# Less opaque than this, most light goes through: there is no surface that could have a normal.
 OPAQUE = 0.5
 CURVE_COLUMNS = ("step", "rays", "loss", "psnr")
 

@@ -66,7 +66,7 @@ def shrink_holes(
         points = own.camera.unproject(pixels, own.depth[y, x])
         for other in (*coarse[:index], *coarse[index + 1 :]):
             support[y, x] += find_visible(other, points, own.camera, pixels)
-        # One cell more: a seam between what is kept and what is made up needs room to be closed.
+        # One cell more is filled anew, so that the seam between known and filled pixels can be blended.
         unseen = grow(own.hole & (support < min_supporting_views), 1)
         reduced.append(replace(view, hole=view.hole & enlarge_cells(unseen, view.hole.shape)))
     return reduced

@@ -200,7 +200,7 @@ def score_neighbouring_views(bench: Bench, photos: list[Photo], others: list[Pho
             bench.scores.add(CONSISTENCY, label, photo.name, figures)
         done += 1
     metrics = tuple(bench.scores.means(CONSISTENCY))
-    if not metrics:  # nowhere do two views agree on a surface
+    if not metrics:  # no surface is seen by two views: there is nothing to compare
         return []
     return [
         Protocol(

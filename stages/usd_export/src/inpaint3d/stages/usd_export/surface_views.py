@@ -74,7 +74,7 @@ def _stored(
     maps = read_exr(field.path(view.maps))
     depth, opacity = maps["median.Z"], maps["opacity.A"]
     rgb = read_image(field.path(view.picture))
-    # A stored render of other proportions is of a part of the view, and its camera is not known.
+    # Stored renders of other proportions show a part of the view, by a camera that is not stored: they cannot be used.
     same_shape = abs(depth.shape[1] / depth.shape[0] - camera.width / camera.height) < 0.05
     if max(depth.shape) < longest_side or not same_shape or rgb.shape[:2] != depth.shape:
         return None
