@@ -85,7 +85,7 @@ def find_visible(view: CoarseView, points: NDArray[np.float64], own: Camera, pix
 def coarsen(view: MaskedView, depth: NDArray[np.float32]) -> CoarseView:
     """The view at the size of its depth map [h, w]."""
     h, w = depth.shape
-    return CoarseView(view.camera.scaled(w, h), depth, pool_any(view.hole, h, w), ~pool_any(~view.known, h, w))
+    return CoarseView(view.camera.resize_to(w, h), depth, pool_any(view.hole, h, w), ~pool_any(~view.known, h, w))
 
 
 def pool_any(mask: Mask, height: int, width: int) -> Mask:

@@ -36,7 +36,7 @@ class DepthView:
     @property
     def depth_camera(self) -> Camera:
         height, width = self.depth.shape
-        return self.camera.scaled(width, height)
+        return self.camera.resize_to(width, height)
 
     def depth_at(self, xy: ArrayLike) -> Floats:
         """Depth [*n] at pixels `xy` [*n, 2] of the picture (nearest; those outside get the border's)."""
@@ -52,7 +52,7 @@ class DepthView:
         def image() -> Image:
             return cv2.resize(self.image(), (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
 
-        return replace(self, camera=self.camera.scaled(width, height), image=image)
+        return replace(self, camera=self.camera.resize_to(width, height), image=image)
 
 
 def load_depth_views(

@@ -49,7 +49,7 @@ def surface_view(
     # A pixel that is not finite has no surface and no colour, and is never read again.
     colour = np.where(surface[..., None], rgb, 0).astype(np.float32)
     height, width = depth.shape
-    return SurfaceView(camera.scaled(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
+    return SurfaceView(camera.resize_to(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
 
 
 def bounds_of(views: Sequence[SurfaceView], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
