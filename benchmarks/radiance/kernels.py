@@ -75,15 +75,16 @@ def network_times(widths: tuple[int, ...], rows: int, repeats: int) -> dict[str,
     pairs = list(pairwise(widths))
     x, weights = numbers(rows, widths[0]), [numbers(out, into) / into**0.5 for into, out in pairs]
     out, out_grad = np.empty((rows, widths[-1]), np.float32), numbers(rows, widths[-1])
-    x_grad, grads = np.empty_like(x), [np.empty_like(weight) for weight in weights]
+    network = kernels.Network(x, weights, None)
+    grads = kernels.Network(np.empty_like(x), [np.empty_like(weight) for weight in weights], None)
     layers = [2e-9 * rows * into * wide for into, wide in pairs]
     work = sum(layers)
     return {
         "again_gflop": sum(layers[:-1]),
         "forward_gflop": work,
-        "forward_s": best_s(lambda: kernels.mlp_forward(x, weights, None, out), repeats),
+        "forward_s": best_s(lambda: kernels.mlp_forward(network, out), repeats),
         "backward_gflop": 2 * work,
-        "backward_s": best_s(lambda: kernels.mlp_backward(x, weights, None, out_grad, x_grad, grads, None), repeats),
+        "backward_s": best_s(lambda: kernels.mlp_backward(network, out_grad, grads), repeats),
     }
 
 

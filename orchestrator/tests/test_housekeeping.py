@@ -32,8 +32,11 @@ def test_nothing_goes_while_the_store_is_in_use(tmp_path):
 
 def test_the_store_is_free_again_when_its_user_is_gone(tmp_path):
     store = FolderStore(tmp_path)
-    with store.shared():
-        pass
-    with store.exclusive():
-        pass
-    collect(store, keep=1, dry_run=True)
+    digest = committed(store)
+    for use in (store.shared, store.exclusive):
+        with use():
+            pass
+        collect(store, keep=1, dry_run=True)
+        assert store.is_present(digest), "a dry run takes nothing away"
+    collect(store, keep=1, dry_run=False)
+    assert not store.is_present(digest)

@@ -66,7 +66,7 @@ def test_the_members_as_they_are_keep_every_contract(tmp_path):
             "only these import a tensor library BROKEN",
             "inpaint3d.lighting -> torch",
         ),
-        ("inpaint3d.lighting", "", "orchestrator knows contracts alone BROKEN", "lighting"),
+        ("inpaint3d.lighting", "", "orchestrator knows contracts and report BROKEN", "lighting"),
     ],
 )
 def test_a_new_member_that_breaks_a_rule_fails(tmp_path, name, source, rule, finding):
@@ -79,9 +79,10 @@ def test_a_new_member_that_breaks_a_rule_fails(tmp_path, name, source, rule, fin
 @pytest.mark.parametrize(
     ("member", "source", "rule"),
     [
-        ("lib/contracts", "import torch\n", "contracts and the orchestrator compute nothing BROKEN"),
+        ("lib/contracts", "import torch\n", "contracts, report and the orchestrator compute nothing BROKEN"),
+        ("lib/report", "import inpaint3d.contracts.errors\n", "the orchestrator knows contracts and report BROKEN"),
         ("lib/scene", "import torch\n", "only these import a tensor library BROKEN"),
-        ("lib/scene", "import inpaint3d.radiance.rays\n", "the orchestrator knows contracts alone BROKEN"),
+        ("lib/scene", "import inpaint3d.radiance.rays\n", "the orchestrator knows contracts and report BROKEN"),
     ],
 )
 def test_a_library_that_reaches_above_its_layer_fails(tmp_path, member, source, rule):

@@ -34,14 +34,14 @@ def _eps(seed: int = 0) -> torch.Tensor:
 def test_sds_is_the_closed_form_of_a_gaussian(prior, picture, hole) -> None:
     eps, d = _eps(), prior.spec.residual_bands[0]
     a, s = per_image(alpha(T)), per_image(sigma(T))
-    offset = picture - prior.filled(picture, hole)
+    offset = picture - prior.fill_hole(picture, hole)
     # eps_hat = s (a (x - fill) + s eps) / (a^2 d^2 + s^2), and w = s^2.
     expected = s**2 * (s * a * offset - a**2 * d**2 * eps) / (a**2 * d**2 + s**2) * hole
     torch.testing.assert_close(sds_gradient(prior, PriorQuery(picture, hole, T, eps)), expected, rtol=1e-4, atol=1e-6)
 
 
 def test_descending_sds_moves_the_hole_towards_what_the_prior_believes(prior, picture, hole) -> None:
-    belief = prior.filled(picture, hole)
+    belief = prior.fill_hole(picture, hole)
     x = belief + 0.8 * hole
     for i in range(200):
         x = x - 0.5 * sds_gradient(prior, PriorQuery(x, hole, T, _eps(i)))
@@ -52,7 +52,7 @@ def test_descending_sds_moves_the_hole_towards_what_the_prior_believes(prior, pi
 def test_the_denoised_target_is_the_gaussians_quantile(prior, picture, hole) -> None:
     eps, d = _eps(), prior.spec.residual_bands[0]
     a, s = per_image(alpha(T)), per_image(sigma(T))
-    fill = prior.filled(picture, hole)
+    fill = prior.fill_hole(picture, hole)
     z = a * picture + s * eps
     target = fill + d * (z - a * fill) / (a**2 * d**2 + s**2).sqrt()
     gradient = denoised_target_gradient(prior, PriorQuery(picture, hole, T, eps), steps=200)
@@ -85,11 +85,11 @@ def test_noise_free_distillation_is_the_closed_form_of_gaussians(prior, picture,
     eps, d, t = _eps(), prior.spec.residual_bands[0], torch.tensor([0.1, 0.6])
     a, s = _levels(t)
     z = a * picture + s * eps
-    fill, known = prior.filled(picture, hole), 1 - hole
+    fill, known = prior.fill_hole(picture, hole), 1 - hole
     null, cond = _noise_of(z, t, torch.zeros_like(z), d), _noise_of(z, t, fill, d)
     smooth = torch.nn.functional.avg_pool2d(picture * known, 5, 1, 2)
     smooth = smooth / torch.nn.functional.avg_pool2d(known, 5, 1, 2).clamp(min=1e-7)
-    negative = _noise_of(z, t, prior.filled(smooth, hole), d)
+    negative = _noise_of(z, t, prior.fill_hole(smooth, hole), d)
     delta = null + 3.0 * (cond - null)
     expected = s**2 * torch.stack([delta[0], (delta - negative)[1]]) * hole
     torch.testing.assert_close(
@@ -110,7 +110,7 @@ def test_inverted_noise_points_straight_to_what_the_prior_believes(prior, pictur
     d = prior.spec.residual_bands[0]
     a, s = _levels(T)
     a0, s0 = _levels(torch.full_like(T, T_FLOOR))
-    fill = prior.filled(picture, hole)
+    fill = prior.fill_hole(picture, hole)
     spread, spread0 = (a**2 * d**2 + s**2).sqrt(), (a0**2 * d**2 + s0**2).sqrt()
     z = a * fill + spread / spread0 * (picture - a0 * fill)
     expected = s**2 * (s * (z - a * fill) / spread**2 - (z - a * picture) / s) * hole
@@ -134,7 +134,7 @@ def test_interval_matching_is_the_closed_form_of_gaussians(prior, picture, hole)
     z_s = picture * ((a_s**2 * d**2 + s_s**2) / (a0**2 * d**2 + s0**2)).sqrt()
     eps_s = _noise_of(z_s, before, torch.zeros_like(z_s), d)
     z_t = a * (z_s - s_s * eps_s) / a_s + s * eps_s
-    null, cond = _noise_of(z_t, T, torch.zeros_like(z_t), d), _noise_of(z_t, T, prior.filled(picture, hole), d)
+    null, cond = _noise_of(z_t, T, torch.zeros_like(z_t), d), _noise_of(z_t, T, prior.fill_hole(picture, hole), d)
     expected = s**2 * (null + 2.0 * (cond - null) - eps_s) * hole
     gradient = ism_gradient(prior, PriorQuery(picture, hole, T), guidance=2.0, steps=150, interval=interval)
     torch.testing.assert_close(gradient, expected, rtol=0, atol=0.02)

@@ -57,13 +57,13 @@ def test_guidance_is_null_plus_g_times_the_difference(prior, picture, hole) -> N
 def test_the_null_condition_of_a_noise_fill_prior_is_pure_noise(paper_like, picture, hole) -> None:
     prior = InpaintingPrior(paper_like)
     fill = _noise(1)
-    assert torch.equal(prior.filled(picture, torch.ones_like(hole), fill), fill)
+    assert torch.equal(prior.fill_hole(picture, torch.ones_like(hole), fill), fill)
     with pytest.raises(ValueError, match="noise_fill"):
-        prior.filled(picture, hole)
+        prior.fill_hole(picture, hole)
 
 
 def test_the_fill_of_a_mask_channel_prior_is_the_pyramid(shipped_like, picture, hole) -> None:
-    assert torch.equal(InpaintingPrior(shipped_like).filled(picture, hole), pyramid_fill(picture, hole))
+    assert torch.equal(InpaintingPrior(shipped_like).fill_hole(picture, hole), pyramid_fill(picture, hole))
 
 
 def test_a_clean_prior_knows_its_known_pixels(shipped_like, picture, hole) -> None:

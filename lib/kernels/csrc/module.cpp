@@ -28,6 +28,25 @@ using In = nb::ndarray<const float, nb::device::cpu, nb::c_contig, Shape...>;
 template <class... Shape>
 using Out = nb::ndarray<float, nb::device::cpu, nb::c_contig, Shape...>;
 using LevelTuple = std::tuple<int64_t, int64_t, int64_t, bool>;
+// The named tuples of arguments.py, field by field.
+using NetworkTuple = std::tuple<In<nb::ndim<2>>, std::vector<In<nb::ndim<2>>>, std::optional<In<nb::ndim<2>>>>;
+using NetworkGradTuple =
+    std::tuple<std::optional<Out<nb::ndim<2>>>, std::vector<Out<nb::ndim<2>>>, std::optional<Out<nb::ndim<2>>>>;
+using SamplesTuple = std::tuple<In<nb::ndim<2>>, In<nb::shape<-1, -1, 3>>, In<nb::ndim<2>>>;
+using SamplesGradTuple = std::tuple<Out<nb::ndim<2>>, Out<nb::shape<-1, -1, 3>>>;
+using RenderedTuple = std::tuple<Out<nb::ndim<2>>, Out<nb::ndim<2>>, Out<nb::ndim<1>>, Out<nb::ndim<1>>>;
+using RenderedGradTuple = std::tuple<In<nb::ndim<2>>, In<nb::ndim<2>>, In<nb::ndim<1>>, In<nb::ndim<1>>>;
+using LogitsTuple =
+    std::tuple<In<nb::shape<-1, 3>>, std::optional<In<nb::shape<-1, 3>>>, std::optional<In<nb::shape<-1, 6>>>>;
+using LogitsGradTuple =
+    std::tuple<Out<nb::shape<-1, 3>>, std::optional<Out<nb::shape<-1, 3>>>, std::optional<Out<nb::shape<-1, 6>>>>;
+using ColourMapTuple = std::tuple<float, float>;
+using ColoursTuple = std::tuple<Out<nb::shape<-1, 3>>, Out<nb::shape<-1, 3>>>;
+using ColoursGradTuple = std::tuple<std::optional<In<nb::shape<-1, 3>>>, std::optional<In<nb::shape<-1, 3>>>>;
+using CellsTuple = std::tuple<In<nb::ndim<1>>, int64_t, std::optional<float>>;
+using RaysTuple = std::tuple<In<nb::shape<-1, 3>>, In<nb::shape<-1, 3>>, In<nb::ndim<1>>>;
+using HistogramTuple = std::tuple<In<nb::ndim<2>>, In<nb::ndim<2>>>;
+using AdamTuple = std::tuple<int64_t, double, double, double, double, double, bool>;
 
 void require(bool truth, const std::string& message) {
   if (!truth) throw std::invalid_argument(message);
@@ -125,8 +144,8 @@ struct CheckedNetwork {
   Network network() const { return {static_cast<int>(weights.size()), width.data(), weights.data(), starts, run}; }
 };
 
-void mlp_forward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
-                 std::optional<In<nb::ndim<2>>> starts, Out<nb::ndim<2>> out, int threads) {
+void mlp_forward(const NetworkTuple& network, Out<nb::ndim<2>> out, int threads) {
+  const auto& [x, weights, starts] = network;
   const CheckedNetwork net(x, weights, starts);
   require(out.shape(0) == x.shape(0) && static_cast<int64_t>(out.shape(1)) == net.width.back(), "out must be [rows of x, width of the last layer]");
   const auto run = active().mlp_forward;
@@ -135,10 +154,9 @@ void mlp_forward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
   run(x.data(), static_cast<int64_t>(x.shape(0)), net.network(), out.data(), threads);
 }
 
-void mlp_backward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights,
-                  std::optional<In<nb::ndim<2>>> starts, In<nb::ndim<2>> out_grad,
-                  std::optional<Out<nb::ndim<2>>> x_grad, const std::vector<Out<nb::ndim<2>>>& weight_grads,
-                  std::optional<Out<nb::ndim<2>>> starts_grad, int threads) {
+void mlp_backward(const NetworkTuple& network, In<nb::ndim<2>> out_grad, const NetworkGradTuple& grads, int threads) {
+  const auto& [x, weights, starts] = network;
+  const auto& [x_grad, weight_grads, starts_grad] = grads;
   const CheckedNetwork net(x, weights, starts);
   require(out_grad.shape(0) == x.shape(0) && static_cast<int64_t>(out_grad.shape(1)) == net.width.back(), "out_grad must be [rows of x, width of the last layer]");
   require(!x_grad || (x_grad->shape(0) == x.shape(0) && x_grad->shape(1) == x.shape(1)), "x_grad must have the shape of x");
@@ -157,17 +175,17 @@ void mlp_backward(In<nb::ndim<2>> x, const std::vector<In<nb::ndim<2>>>& weights
       {weight_data.data(), starts_grad ? starts_grad->data() : nullptr}, threads);
 }
 
-Rays checked_rays(const In<nb::ndim<2>>& density, const In<nb::shape<-1, -1, 3>>& rgb, const In<nb::ndim<2>>& tdist) {
+Rays checked_rays(const SamplesTuple& given) {
+  const auto& [density, rgb, tdist] = given;
   const size_t rays = density.shape(0), samples = density.shape(1);
   require(rgb.shape(0) == rays && rgb.shape(1) == samples, "rgb must be [rays, samples, 3]");
   require(tdist.shape(0) == rays && tdist.shape(1) == samples + 1, "tdist must be [rays, samples + 1]");
   return {density.data(), rgb.data(), tdist.data(), static_cast<int64_t>(rays), static_cast<int64_t>(samples)};
 }
 
-void composite_forward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, In<nb::ndim<2>> tdist,
-                       Out<nb::ndim<2>> weights, Out<nb::ndim<2>> rgb_out, Out<nb::ndim<1>> opacity,
-                       Out<nb::ndim<1>> depth_sum, int threads) {
-  const Rays rays = checked_rays(density, rgb, tdist);
+void composite_forward(const SamplesTuple& samples, const RenderedTuple& out, int threads) {
+  const auto& [weights, rgb_out, opacity, depth_sum] = out;
+  const Rays rays = checked_rays(samples);
   require_shape(weights, {rays.count, rays.samples}, "weights");
   require_shape(rgb_out, {rays.count, 3}, "rgb_out");
   require_shape(opacity, {rays.count}, "opacity");
@@ -178,11 +196,11 @@ void composite_forward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, In
   run(rays, {weights.data(), rgb_out.data(), opacity.data(), depth_sum.data()}, threads);
 }
 
-void composite_backward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, In<nb::ndim<2>> tdist,
-                        In<nb::ndim<2>> weights, In<nb::ndim<2>> weights_grad, In<nb::ndim<2>> rgb_out_grad,
-                        In<nb::ndim<1>> opacity_grad, In<nb::ndim<1>> depth_sum_grad, Out<nb::ndim<2>> density_grad,
-                        Out<nb::shape<-1, -1, 3>> rgb_grad, int threads) {
-  const Rays rays = checked_rays(density, rgb, tdist);
+void composite_backward(const SamplesTuple& samples, In<nb::ndim<2>> weights, const RenderedGradTuple& out_grads,
+                        const SamplesGradTuple& grads, int threads) {
+  const auto& [weights_grad, rgb_out_grad, opacity_grad, depth_sum_grad] = out_grads;
+  const auto& [density_grad, rgb_grad] = grads;
+  const Rays rays = checked_rays(samples);
   require_shape(weights, {rays.count, rays.samples}, "weights");
   require_shape(weights_grad, {rays.count, rays.samples}, "weights_grad");
   require_shape(rgb_out_grad, {rays.count, 3}, "rgb_out_grad");
@@ -199,8 +217,9 @@ void composite_backward(In<nb::ndim<2>> density, In<nb::shape<-1, -1, 3>> rgb, I
 
 constexpr int64_t kSharedRun = 1024;  // points with one exposure come in runs too, that threads have something to share
 
-Logits checked_logits(const In<nb::shape<-1, 3>>& diffuse, const std::optional<In<nb::shape<-1, 3>>>& specular,
-                      const std::optional<In<nb::shape<-1, 6>>>& exposure, float scale, float padding) {
+Logits checked_logits(const LogitsTuple& logits, const ColourMapTuple& colour_map) {
+  const auto& [diffuse, specular, exposure] = logits;
+  const auto [scale, padding] = colour_map;
   const auto count = static_cast<int64_t>(diffuse.shape(0));
   if (specular) require_shape(*specular, {count, 3}, "specular");
   const int64_t rows = exposure ? static_cast<int64_t>(exposure->shape(0)) : 1;
@@ -210,10 +229,9 @@ Logits checked_logits(const In<nb::shape<-1, 3>>& diffuse, const std::optional<I
           shared || rows == 0 ? kSharedRun : count / rows, shared, scale, padding};
 }
 
-void colours_forward(In<nb::shape<-1, 3>> diffuse, std::optional<In<nb::shape<-1, 3>>> specular,
-                     std::optional<In<nb::shape<-1, 6>>> exposure, Out<nb::shape<-1, 3>> rgb,
-                     Out<nb::shape<-1, 3>> diffuse_rgb, float scale, float padding, int threads) {
-  const Logits in = checked_logits(diffuse, specular, exposure, scale, padding);
+void colours_forward(const LogitsTuple& logits, const ColourMapTuple& colour_map, const ColoursTuple& out, int threads) {
+  const auto& [rgb, diffuse_rgb] = out;
+  const Logits in = checked_logits(logits, colour_map);
   require_shape(rgb, {in.count, 3}, "rgb");
   require_shape(diffuse_rgb, {in.count, 3}, "diffuse_rgb");
   const auto run = active().colours_forward;
@@ -222,12 +240,12 @@ void colours_forward(In<nb::shape<-1, 3>> diffuse, std::optional<In<nb::shape<-1
   run(in, rgb.data(), diffuse_rgb.data(), threads);
 }
 
-void colours_backward(In<nb::shape<-1, 3>> diffuse, std::optional<In<nb::shape<-1, 3>>> specular,
-                      std::optional<In<nb::shape<-1, 6>>> exposure, std::optional<In<nb::shape<-1, 3>>> rgb_grad,
-                      std::optional<In<nb::shape<-1, 3>>> diffuse_rgb_grad, Out<nb::shape<-1, 3>> diffuse_grad,
-                      std::optional<Out<nb::shape<-1, 3>>> specular_grad, std::optional<Out<nb::shape<-1, 6>>> exposure_grad,
-                      float scale, float padding, int threads) {
-  Logits in = checked_logits(diffuse, specular, exposure, scale, padding);
+void colours_backward(const LogitsTuple& logits, const ColourMapTuple& colour_map, const ColoursGradTuple& out_grads,
+                      const LogitsGradTuple& grads, int threads) {
+  const auto& [diffuse, specular, exposure] = logits;
+  const auto& [rgb_grad, diffuse_rgb_grad] = out_grads;
+  const auto& [diffuse_grad, specular_grad, exposure_grad] = grads;
+  Logits in = checked_logits(logits, colour_map);
   if (exposure && in.shared) in.run = in.count;  // its gradient is one sum
   if (rgb_grad) require_shape(*rgb_grad, {in.count, 3}, "rgb_grad");
   if (diffuse_rgb_grad) require_shape(*diffuse_rgb_grad, {in.count, 3}, "diffuse_rgb_grad");
@@ -253,8 +271,9 @@ int32_t checked_side(int64_t cells, int64_t side) {
   return static_cast<int32_t>(side);
 }
 
-void grid_histogram(In<nb::ndim<1>> density, int64_t side, In<nb::shape<-1, 3>> origins, In<nb::shape<-1, 3>> directions,
-                    In<nb::ndim<1>> tdist, std::optional<float> bound, float floor, Out<nb::ndim<2>> out, int threads) {
+void grid_histogram(const CellsTuple& given, const RaysTuple& along, float floor, Out<nb::ndim<2>> out, int threads) {
+  const auto& [density, side, bound] = given;
+  const auto& [origins, directions, tdist] = along;
   const Cells cells{density.data(), checked_side(static_cast<int64_t>(density.shape(0)), side), !bound.has_value(), bound.value_or(1.0f)};
   const auto rays = static_cast<int64_t>(origins.shape(0)), bins = static_cast<int64_t>(tdist.shape(0)) - 1;
   require(bins >= 1, "a histogram needs at least one interval");
@@ -298,8 +317,9 @@ void unit_cube(In<nb::shape<-1, 3>> points, Out<nb::shape<-1, 3>> out, int threa
   run(points.data(), static_cast<int64_t>(points.shape(0)), out.data(), threads);
 }
 
-Histograms checked_histograms(const In<nb::ndim<2>>& ends, const In<nb::ndim<2>>& weights,
-                              const In<nb::ndim<2>>& other_ends, const In<nb::ndim<2>>& other_weights) {
+Histograms checked_histograms(const HistogramTuple& histogram, const HistogramTuple& other) {
+  const auto& [ends, weights] = histogram;
+  const auto& [other_ends, other_weights] = other;
   const auto rays = static_cast<int64_t>(weights.shape(0)), n = static_cast<int64_t>(weights.shape(1));
   const auto m = static_cast<int64_t>(other_weights.shape(1));
   require_shape(ends, {rays, n + 1}, "ends");
@@ -308,9 +328,8 @@ Histograms checked_histograms(const In<nb::ndim<2>>& ends, const In<nb::ndim<2>>
   return {ends.data(), weights.data(), other_ends.data(), other_weights.data(), rays, n, m};
 }
 
-void interlevel_forward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::ndim<2>> other_ends,
-                        In<nb::ndim<2>> other_weights, Out<nb::ndim<1>> out, int threads) {
-  const Histograms histograms = checked_histograms(ends, weights, other_ends, other_weights);
+void interlevel_forward(const HistogramTuple& histogram, const HistogramTuple& other, Out<nb::ndim<1>> out, int threads) {
+  const Histograms histograms = checked_histograms(histogram, other);
   require_shape(out, {histograms.rays}, "out");
   const auto run = active().interlevel_forward;
   check_threads(threads);
@@ -318,9 +337,9 @@ void interlevel_forward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::nd
   run(histograms, out.data(), threads);
 }
 
-void interlevel_backward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::ndim<2>> other_ends,
-                         In<nb::ndim<2>> other_weights, In<nb::ndim<1>> out_grad, Out<nb::ndim<2>> grad, int threads) {
-  const Histograms histograms = checked_histograms(ends, weights, other_ends, other_weights);
+void interlevel_backward(const HistogramTuple& histogram, const HistogramTuple& other, In<nb::ndim<1>> out_grad,
+                         Out<nb::ndim<2>> grad, int threads) {
+  const Histograms histograms = checked_histograms(histogram, other);
   require_shape(out_grad, {histograms.rays}, "out_grad");
   require_shape(grad, {histograms.rays, histograms.m}, "grad");
   const auto run = active().interlevel_backward;
@@ -329,8 +348,9 @@ void interlevel_backward(In<nb::ndim<2>> ends, In<nb::ndim<2>> weights, In<nb::n
   run(histograms, out_grad.data(), grad.data(), threads);
 }
 
-int64_t adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, int64_t step,
-             double lr, double beta1, double beta2, double eps, double decay, bool sparse, int threads) {
+int64_t adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, Out<nb::ndim<1>> v, const AdamTuple& how,
+             int threads) {
+  const auto [step, lr, beta1, beta2, eps, decay, sparse] = how;
   const size_t count = param.shape(0);
   require(grad.shape(0) == count && m.shape(0) == count && v.shape(0) == count, "param, grad, m and v must have the same size");
   require(step >= 1, "steps count from 1, not " + std::to_string(step));
@@ -361,38 +381,22 @@ NB_MODULE(_native, module) {
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("hash_backward", &hash_backward, "points"_a.noconvert(), "out_grad"_a.noconvert(), "levels"_a,
              "table_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("mlp_forward", &mlp_forward, "x"_a.noconvert(), "weights"_a.noconvert(), "starts"_a.noconvert().none(), "out"_a.noconvert(),
-             nb::kw_only(), "threads"_a = 1);
-  module.def("mlp_backward", &mlp_backward, "x"_a.noconvert(), "weights"_a.noconvert(), "starts"_a.noconvert().none(), "out_grad"_a.noconvert(),
-             "x_grad"_a.noconvert().none(), "weight_grads"_a.noconvert(), "starts_grad"_a.noconvert().none(), nb::kw_only(), "threads"_a = 1);
-  module.def("composite_forward", &composite_forward, "density"_a.noconvert(), "rgb"_a.noconvert(),
-             "tdist"_a.noconvert(), "weights"_a.noconvert(), "rgb_out"_a.noconvert(), "opacity"_a.noconvert(),
-             "depth_sum"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("composite_backward", &composite_backward, "density"_a.noconvert(), "rgb"_a.noconvert(),
-             "tdist"_a.noconvert(), "weights"_a.noconvert(), "weights_grad"_a.noconvert(),
-             "rgb_out_grad"_a.noconvert(), "opacity_grad"_a.noconvert(), "depth_sum_grad"_a.noconvert(),
-             "density_grad"_a.noconvert(), "rgb_grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("colours_forward", &colours_forward, "diffuse"_a.noconvert(), "specular"_a.noconvert().none(),
-             "exposure"_a.noconvert().none(), "rgb"_a.noconvert(), "diffuse_rgb"_a.noconvert(), nb::kw_only(), "scale"_a,
-             "padding"_a, "threads"_a = 1);
-  module.def("colours_backward", &colours_backward, "diffuse"_a.noconvert(), "specular"_a.noconvert().none(),
-             "exposure"_a.noconvert().none(), "rgb_grad"_a.noconvert().none(), "diffuse_rgb_grad"_a.noconvert().none(),
-             "diffuse_grad"_a.noconvert(), "specular_grad"_a.noconvert().none(), "exposure_grad"_a.noconvert().none(),
-             nb::kw_only(), "scale"_a, "padding"_a, "threads"_a = 1);
-  module.def("grid_histogram", &grid_histogram, "density"_a.noconvert(), "side"_a, "origins"_a.noconvert(),
-             "directions"_a.noconvert(), "tdist"_a.noconvert(), "bound"_a.none(), "floor"_a, "out"_a.noconvert(),
-             nb::kw_only(), "threads"_a = 1);
+  module.def("mlp_forward", &mlp_forward, "network"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("mlp_backward", &mlp_backward, "network"_a.noconvert(), "out_grad"_a.noconvert(), "grads"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("composite_forward", &composite_forward, "samples"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("composite_backward", &composite_backward, "samples"_a.noconvert(), "weights"_a.noconvert(),
+             "out_grads"_a.noconvert(), "grads"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("colours_forward", &colours_forward, "logits"_a.noconvert(), "colour_map"_a, "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("colours_backward", &colours_backward, "logits"_a.noconvert(), "colour_map"_a, "out_grads"_a.noconvert(),
+             "grads"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("grid_histogram", &grid_histogram, "cells"_a.noconvert(), "rays"_a.noconvert(), "floor"_a, "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("grid_learn", &grid_learn, "density"_a.noconvert(), "side"_a, "cube"_a.noconvert(), "seen"_a.noconvert(),
              "memory"_a);
   module.def("resample", &resample, "sdist"_a.noconvert(), "weights"_a.noconvert(), "jitter"_a.noconvert().none(),
              "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("unit_cube", &unit_cube, "points"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("interlevel_forward", &interlevel_forward, "ends"_a.noconvert(), "weights"_a.noconvert(),
-             "other_ends"_a.noconvert(), "other_weights"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(),
-             "threads"_a = 1);
-  module.def("interlevel_backward", &interlevel_backward, "ends"_a.noconvert(), "weights"_a.noconvert(),
-             "other_ends"_a.noconvert(), "other_weights"_a.noconvert(), "out_grad"_a.noconvert(),
-             "grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
-  module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(),
-             nb::kw_only(), "step"_a, "lr"_a, "beta1"_a, "beta2"_a, "eps"_a, "decay"_a = 0.0, "sparse"_a = false, "threads"_a = 1);
+  module.def("interlevel_forward", &interlevel_forward, "histogram"_a.noconvert(), "other"_a.noconvert(), "out"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("interlevel_backward", &interlevel_backward, "histogram"_a.noconvert(), "other"_a.noconvert(),
+             "out_grad"_a.noconvert(), "grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(), "how"_a, nb::kw_only(), "threads"_a = 1);
 }

@@ -24,7 +24,7 @@ def test_twenty_steps_follow_the_algorithm(isa, count, decay):
     for step in range(1, 21):
         # Gradients over twelve decades: the step's size must not depend on theirs.
         grad = (rng.standard_normal(count) * 10.0 ** rng.integers(-12, 1, count)).astype(np.float32)
-        kernels.adam(param, grad, m, v, step=step, lr=1e-2, beta1=0.9, beta2=0.99, eps=1e-15, decay=decay, threads=2)
+        kernels.adam(param, grad, m, v, (step, 1e-2, 0.9, 0.99, 1e-15, decay, False), threads=2)
         state = list(adam(state[0], grad.astype(np.float64), *state[1:], step, 1e-2, 0.9, 0.99, 1e-15, decay))
     kernels.set_isa(before)
     np.testing.assert_allclose(param, state[0], atol=2e-6)  # 20 roundings of numbers up to 4
@@ -42,7 +42,7 @@ def test_numbers_without_a_usable_gradient_are_left_alone(isa, sparse):
     used = kernels.isa()
     kernels.set_isa(isa)
     settings = {"lr": 1e-2, "beta1": 0.9, "beta2": 0.99, "eps": 1e-15, "decay": 1e-3}
-    lost = kernels.adam(param, grad, m, v, step=3, sparse=sparse, threads=2, **settings)
+    lost = kernels.adam(param, grad, m, v, (3, *settings.values(), sparse), threads=2)
     kernels.set_isa(used)
     assert lost == 4
     moves = np.isfinite(grad) & ((grad != 0) | (not sparse))
@@ -54,8 +54,8 @@ def test_numbers_without_a_usable_gradient_are_left_alone(isa, sparse):
 
 def test_sizes_must_agree_and_steps_count_from_one():
     three, four = np.zeros(3, np.float32), np.zeros(4, np.float32)
-    settings = {"lr": 1e-2, "beta1": 0.9, "beta2": 0.99, "eps": 1e-15}
+    settings = (1e-2, 0.9, 0.99, 1e-15, 0.0, False)
     with pytest.raises(ValueError, match="same size"):
-        kernels.adam(three, four, three, three, step=1, **settings)
+        kernels.adam(three, four, three, three, (1, *settings))
     with pytest.raises(ValueError, match="count from 1"):
-        kernels.adam(three, three, three, three, step=0, **settings)
+        kernels.adam(three, three, three, three, (0, *settings))

@@ -16,15 +16,15 @@ def test_colours_and_gradients_follow_the_definition(isa, count, rows):
     both = diffuse + scale * specular
     share = 1 / (1 + np.exp(-(both * gain + offset).astype(np.float64)))
     rgb, shown = np.full_like(diffuse, np.nan), np.full_like(diffuse, np.nan)
-    kernels.colours_forward(diffuse, specular, exposure, rgb, shown, scale=scale, padding=padding, threads=2)
+    logits, how = kernels.Logits(diffuse, specular, exposure), kernels.ColourMap(scale, padding)
+    kernels.colours_forward(logits, how, kernels.Colours(rgb, shown), threads=2)
     np.testing.assert_allclose(rgb, share * (1 + 2 * padding) - padding, rtol=0, atol=1e-6)
     np.testing.assert_allclose(
         shown, (1 + 2 * padding) / (1 + np.exp(-(diffuse * gain + offset))) - padding, rtol=0, atol=1e-6
     )
 
     grads = [np.full_like(array, np.nan) for array in (diffuse, specular, exposure)]
-    given = (diffuse, specular, exposure, rgb_grad, None)
-    kernels.colours_backward(*given, *grads, scale=scale, padding=padding, threads=2)
+    kernels.colours_backward(logits, how, kernels.Colours(rgb_grad, None), kernels.Logits(*grads), threads=2)
     slope = rgb_grad * (1 + 2 * padding) * share * (1 - share)
     np.testing.assert_allclose(grads[0], slope * gain, rtol=0, atol=1e-5)
     np.testing.assert_allclose(grads[1], scale * slope * gain, rtol=0, atol=1e-5)
@@ -34,10 +34,12 @@ def test_colours_and_gradients_follow_the_definition(isa, count, rows):
 
 def test_arrays_must_fit():
     diffuse, out = numbers(6, 3), np.empty((6, 3), np.float32)
-    scales = {"scale": 1.0, "padding": 0.0}
+    colours, how = kernels.Colours(out, out.copy()), kernels.ColourMap(1.0, 0.0)
     with pytest.raises(ValueError, match="4 exposures do not divide 6 points"):
-        kernels.colours_forward(diffuse, None, numbers(4, 6), out, out.copy(), **scales)
+        kernels.colours_forward(kernels.Logits(diffuse, None, numbers(4, 6)), how, colours)
     with pytest.raises(ValueError, match="specular has the wrong shape"):
-        kernels.colours_forward(diffuse, numbers(5, 3), None, out, out.copy(), **scales)
+        kernels.colours_forward(kernels.Logits(diffuse, numbers(5, 3), None), how, colours)
     with pytest.raises(ValueError, match="specular_grad is for specular"):
-        kernels.colours_backward(diffuse, None, None, diffuse, None, out, out.copy(), None, **scales)
+        kernels.colours_backward(
+            kernels.Logits(diffuse, None, None), how, kernels.Colours(diffuse, None), kernels.Logits(*colours, None)
+        )

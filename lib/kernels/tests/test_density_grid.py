@@ -11,7 +11,9 @@ def test_a_wall_takes_all_the_light_and_its_neighbours_half_of_the_samples(isa):
     origins, directions = np.array([[-0.95, 0.1, 0.1]], np.float32), np.array([[1, 0, 0]], np.float32)
     tdist = np.linspace(0, 1.9, 20).astype(np.float32)
     out = np.full((1, 19), np.nan, np.float32)
-    kernels.grid_histogram(density.ravel(), side, origins, directions, tdist, 1.0, 0.25, out)
+    kernels.grid_histogram(
+        kernels.Cells(density.ravel(), side, 1.0), kernels.Rays(origins, directions, tdist), 0.25, out
+    )
     (wall,) = np.flatnonzero(out[0] > 1)
     assert -0.95 + (tdist[wall] + tdist[wall + 1]) / 2 == pytest.approx(0.3, abs=0.05)
     np.testing.assert_allclose(out[0, [wall - 1, wall, wall + 1]], [0.75, 1.25, 0.75], atol=1e-6)
@@ -33,5 +35,8 @@ def test_arrays_must_fit():
         kernels.grid_learn(density, 2, points, np.zeros(2, np.float32), 0.5)
     with pytest.raises(ValueError, match="at least one interval"):
         kernels.grid_histogram(
-            density, 2, points, points, np.zeros(1, np.float32), None, 0.0, np.zeros((3, 0), np.float32)
+            kernels.Cells(density, 2, None),
+            kernels.Rays(points, points, np.zeros(1, np.float32)),
+            0.0,
+            np.zeros((3, 0), np.float32),
         )

@@ -43,16 +43,15 @@ def test_outputs_and_gradients_follow_the_definition(isa, count, widths, runs):
     shapes = [(widths[i + 1], widths[i]) for i in range(depth)]
     x, out_grad, starts, *weights = arrays((count, widths[0]), (count, widths[-1]), (runs, widths[1]), *shapes)
     truth, exact = run(x, weights, starts, out_grad)
-    given = starts if runs else None
+    network = kernels.Network(x, weights, starts if runs else None)
 
     out = np.full((count, widths[-1]), np.nan, np.float32)
-    kernels.mlp_forward(x, weights, given, out, threads=2)
+    kernels.mlp_forward(network, out, threads=2)
     np.testing.assert_allclose(out, truth, rtol=1e-4, atol=1e-4 * max(1.0, np.abs(truth).max(initial=0)))
 
     grads = [np.full_like(array, np.nan) for array in (x, *weights, starts)]
-    kernels.mlp_backward(
-        x, weights, given, out_grad, grads[0], grads[1 : 1 + depth], grads[-1] if runs else None, threads=2
-    )
+    grouped = kernels.Network(grads[0], grads[1 : 1 + depth], grads[-1] if runs else None)
+    kernels.mlp_backward(network, out_grad, grouped, threads=2)
     for grad, expected in zip(grads, exact, strict=True):
         np.testing.assert_allclose(grad, expected, atol=1e-4 * max(1.0, np.abs(expected).max(initial=0)), rtol=0)
 
@@ -60,14 +59,14 @@ def test_outputs_and_gradients_follow_the_definition(isa, count, widths, runs):
 def test_starts_that_do_not_divide_the_rows_or_serve_too_many_are_refused():
     x, weight, out = arrays((400, 3), (2, 3), (400, 2))
     with pytest.raises(ValueError, match="7 starts do not divide 400 rows"):
-        kernels.mlp_forward(x, [weight], np.zeros((7, 2), np.float32), out)
+        kernels.mlp_forward(kernels.Network(x, [weight], np.zeros((7, 2), np.float32)), out)
     with pytest.raises(ValueError, match=f"at most {kernels.MOST_RUN} share a start"):
-        kernels.mlp_forward(x, [weight], np.zeros((1, 2), np.float32), out)
+        kernels.mlp_forward(kernels.Network(x, [weight], np.zeros((1, 2), np.float32)), out)
     with pytest.raises(ValueError, match="as wide as the first layer"):
-        kernels.mlp_forward(x, [weight], np.zeros((4, 3), np.float32), out)
+        kernels.mlp_forward(kernels.Network(x, [weight], np.zeros((4, 3), np.float32)), out)
 
 
 def test_layers_that_do_not_fit_are_refused():
     x, first, second, out = arrays((4, 3), (5, 3), (2, 6), (4, 2))
     with pytest.raises(ValueError, match="layer 1 takes 6 numbers but is given 5"):
-        kernels.mlp_forward(x, [first, second], None, out)
+        kernels.mlp_forward(kernels.Network(x, [first, second], None), out)

@@ -45,11 +45,12 @@ def test_the_bound_and_its_gradient_follow_the_definition(isa, rays, n, m):
     other_weights *= 0.5
     truth, slope = interlevel(ends, weights, other_ends, other_weights)
     out = np.full(rays, np.nan, np.float32)
-    kernels.interlevel_forward(ends, weights, other_ends, other_weights, out, threads=2)
+    histograms = kernels.Histogram(ends, weights), kernels.Histogram(other_ends, other_weights)
+    kernels.interlevel_forward(*histograms, out, threads=2)
     np.testing.assert_allclose(out, truth, rtol=1e-4, atol=1e-6)
     out_grad = rng.standard_normal(rays).astype(np.float32)
     grad = np.full((rays, m), np.nan, np.float32)
-    kernels.interlevel_backward(ends, weights, other_ends, other_weights, out_grad, grad, threads=2)
+    kernels.interlevel_backward(*histograms, out_grad, grad, threads=2)
     # Differences of sums of up to 33 terms of up to 2.
     np.testing.assert_allclose(grad, slope * out_grad[:, None], rtol=1e-4, atol=1e-4)
 
@@ -57,5 +58,6 @@ def test_the_bound_and_its_gradient_follow_the_definition(isa, rays, n, m):
 def test_histograms_must_fit():
     rng = np.random.default_rng(0)
     (ends, weights), (other_ends, other_weights) = histogram(rng, 3, 4), histogram(rng, 3, 5)
+    histograms = kernels.Histogram(ends, weights), kernels.Histogram(other_ends[:, :-1].copy(), other_weights)
     with pytest.raises(ValueError, match="other_ends has the wrong shape"):
-        kernels.interlevel_forward(ends, weights, other_ends[:, :-1].copy(), other_weights, np.empty(3, np.float32))
+        kernels.interlevel_forward(*histograms, np.empty(3, np.float32))

@@ -29,14 +29,20 @@ def outputs(count, samples):
 def test_rendering_and_its_gradient_follow_the_definition(isa, count, samples):
     inputs = rays(count, samples)
     outs = outputs(count, samples)
-    kernels.composite_forward(*inputs, *outs, threads=2)
+    kernels.composite_forward(kernels.Samples(*inputs), kernels.Rendered(*outs), threads=2)
     for out, truth in zip(outs, render(*inputs), strict=True):
         np.testing.assert_allclose(out, truth, rtol=2e-5, atol=1e-7)
 
     rng = np.random.default_rng(1)
     out_grads = [rng.standard_normal(out.shape).astype(np.float32) for out in outs]
     grads = [np.full_like(array, np.nan) for array in inputs[:2]]
-    kernels.composite_backward(*inputs, outs[0], *out_grads, *grads, threads=2)
+    kernels.composite_backward(
+        kernels.Samples(*inputs),
+        outs[0],
+        kernels.Rendered(*out_grads),
+        kernels.SampleGradients(*grads),
+        threads=2,
+    )
 
     def loss(density, rgb):
         return sum(
@@ -75,4 +81,4 @@ def test_resampling_inverts_the_distribution(isa, n, count, jittered):
 def test_shapes_must_agree():
     density, rgb, tdist = rays(3, 4)
     with pytest.raises(ValueError, match="samples \\+ 1"):
-        kernels.composite_forward(density, rgb, tdist[:, :-1].copy(), *outputs(3, 4))
+        kernels.composite_forward(kernels.Samples(density, rgb, tdist[:, :-1].copy()), kernels.Rendered(*outputs(3, 4)))

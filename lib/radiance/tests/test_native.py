@@ -309,11 +309,10 @@ def test_grid_histogram_equals_the_reference(isa, threads, rays, bins, side, con
     origins, directions = 0.5 * normal(rays, 3), torch.nn.functional.normalize(normal(rays, 3, seed=1), dim=-1)
     sure = clear_of_cell_borders(origins, directions, tdist, side, contraction, 2.5)
     assert rays == 0 or sure.sum() > 0.4 * rays
-    place = (tdist, contraction, 2.5, 0.01)
-    out = native.grid_histogram(density, side, origins, directions, *place)
-    truth = reference.grid_histogram(
-        density.double(), side, origins.double(), directions.double(), tdist.double(), *place[1:]
-    )
+    cells = reference.Cells(density, side, contraction, 2.5)
+    out = native.grid_histogram(cells, origins, directions, tdist, 0.01)
+    exact = cells._replace(density=density.double())
+    truth = reference.grid_histogram(exact, origins.double(), directions.double(), tdist.double(), 0.01)
     assert out.shape == (rays, bins)
     torch.testing.assert_close(out[sure].double(), truth[sure], atol=3e-6, rtol=0)
 

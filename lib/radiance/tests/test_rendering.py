@@ -89,7 +89,7 @@ def test_proposal_rounds_ask_one_network_and_the_last_round_another(noise: Radia
 
 def test_a_ray_has_no_width(noise: RadianceField) -> None:
     """N1, no cone tracing: with three times the pixels, every third ray and its colour are the same."""
-    fine = render(noise, camera_rays(CAMERA.scaled(3 * CAMERA.width, 3 * CAMERA.height)))
+    fine = render(noise, camera_rays(CAMERA.resize_to(3 * CAMERA.width, 3 * CAMERA.height)))
     torch.testing.assert_close(fine.rgb[1::3, 1::3], render(noise, camera_rays(CAMERA)).rgb, rtol=1e-3, atol=1e-3)
 
 

@@ -39,7 +39,7 @@ def test_rays_are_unit_and_meet_what_projects_there():
 
 def test_scaling_moves_projections_with_the_picture():
     points = CAMERA.unproject([[10.0, 5.0], [60.0, 40.0]], [1.0, 2.0])
-    small, _ = CAMERA.scaled(32, 12).project(points)
+    small, _ = CAMERA.resize_to(32, 12).project(points)
     np.testing.assert_allclose(small, [[5.0, 1.25], [30.0, 10.0]])
 
 

@@ -79,10 +79,10 @@ def test_fixed_windows_cover_as_much_of_the_hole_as_any() -> None:
         MaskedView(n, c, i, m, ~m)
         for n, c, i, m in zip(room.names, room.cameras, room.images, room.object_masks, strict=True)
     ]
-    for index, window in enumerate(choose_fixed_windows(views, size=16, span=0.7, min_known=0.2)):
+    windows = choose_fixed_windows(views, size=16, span=0.7, min_known=0.2)
+    for index, (view, window) in enumerate(zip(views, windows, strict=True)):
         assert window is not None
         rng = np.random.default_rng(index)
-        view = views[index]
         drawn = [
             draw_window(view.hole, view.known, index, size=16, span=0.7, min_known=0.2, rng=rng) for _ in range(20)
         ]

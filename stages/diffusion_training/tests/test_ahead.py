@@ -22,8 +22,8 @@ def test_results_come_in_order_whatever_their_threads_do() -> None:
 def test_the_next_is_made_while_one_is_used() -> None:
     begun = [threading.Event() for _ in range(4)]
     steps = MadeAhead(lambda i: begun[i].set(), range(4), threads=1, ahead=2)
-    for i, _ in enumerate(steps):
-        assert i == 3 or begun[i + 1].wait(10)
+    following = [i == 3 or begun[i + 1].wait(10) for i, _ in enumerate(steps)]
+    assert following == [True] * 4
 
 
 def test_no_more_is_made_ahead_than_was_asked_for() -> None:

@@ -4,7 +4,7 @@ import pytest
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.evaluation.baselines import (
-    interpolated_depth,
+    interpolate_depth,
     mean_colour,
     mean_surround,
     nearest_photo_warped,
@@ -61,21 +61,21 @@ def test_the_mean_colour_counts_known_pixels():
 def test_depth_of_points_on_a_plane_is_the_planes():
     camera = Camera(40, 40, 16, 12, 32, 24, look_at((0, -1.0, 0), (0, 0, 0)))
     xy = np.random.default_rng(0).uniform((0, 0), (32, 24), (3000, 2))
-    depth = interpolated_depth(camera, camera.unproject(xy, np.full(len(xy), 0.7)))
+    depth = interpolate_depth(camera, camera.unproject(xy, np.full(len(xy), 0.7)))
     assert depth is not None
     np.testing.assert_allclose(depth, 0.7, rtol=1e-6)
 
 
 def test_depth_between_points_is_near_the_true_one():
     scene = synthetic_scene(points=2000)
-    depth = interpolated_depth(scene.cameras[3], scene.points.xyz)
+    depth = interpolate_depth(scene.cameras[3], scene.points.xyz)
     assert depth is not None
     assert np.median(np.abs(depth / scene.depths[3] - 1)) < 0.05
 
 
 def test_a_camera_that_sees_no_point_has_no_depth():
     camera = Camera(40, 40, 16, 12, 32, 24, look_at((0, -1.0, 0), (0, 0, 0)))
-    assert interpolated_depth(camera, np.array([[0.0, -5.0, 0.0]])) is None
+    assert interpolate_depth(camera, np.array([[0.0, -5.0, 0.0]])) is None
 
 
 def test_warping_with_the_true_depth_beats_the_unwarped_photo():

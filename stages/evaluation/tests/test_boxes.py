@@ -23,4 +23,4 @@ def test_an_empty_mask_has_no_box():
 def test_a_box_within_another_indexes_the_same_pixels():
     picture = np.arange(20 * 30).reshape(20, 30)
     inner, outer = Box(8, 6, 12, 9), Box(5, 2, 20, 18)
-    assert (picture[outer.slices][inner.within(outer).slices] == picture[inner.slices]).all()
+    assert (picture[outer.slices][inner.relative_to(outer).slices] == picture[inner.slices]).all()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from inpaint3d.contracts.models.artifacts import Protocol
+from inpaint3d.report.page import RUN_MARKER
 from inpaint3d.scene.image_io import write_png
-from inpaint3d.stages.evaluation.charts import Line, line_chart
-from inpaint3d.stages.evaluation.report import RUN_MARKER, Curve, Report, Strip, cost_of_stopping_early, write_report
+from inpaint3d.stages.evaluation.report import Curve, Report, Strip, cost_of_stopping_early, write_report
 from inpaint3d.stages.evaluation.scores import metric
 
 
@@ -65,8 +65,3 @@ def test_stopping_early_costs_what_the_curve_says():
     assert (label, last) == ("a", 15.5)
     assert costs == pytest.approx([-5.5, -1.5, -0.5])
     assert cost_of_stopping_early(Curve("a", [(100, 10.0)])) is None
-
-
-def test_a_chart_of_nothing_is_nothing():
-    assert line_chart([Line("a", [])], "x", "y") == ""
-    assert line_chart([Line("a", [(5, 1.0)])], "x", "y").count("<circle") == 1

@@ -9,7 +9,7 @@ CAMERA = Camera(60, 60, 24, 18, 48, 36, look_at((0.9, 0, 0.3), (0, 0, 0)))
 
 
 def photo(known: np.ndarray, split: str = "train") -> Photo:
-    return Photo("view", split, CAMERA.scaled(24, 18), np.zeros((18, 24, 3), np.float32), ~known, known)
+    return Photo("view", split, CAMERA.resize_to(24, 18), np.zeros((18, 24, 3), np.float32), ~known, known)
 
 
 def test_sightings_under_a_mask_are_left_out_at_the_photos_own_size() -> None:

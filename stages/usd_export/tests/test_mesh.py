@@ -42,6 +42,7 @@ def test_the_ball_is_closed():
     triangles = extract(ball_volume()).triangles
     edges = np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
     forward = {tuple(e) for e in edges.tolist()}
+    assert len(forward) == len(edges) > 1000, "no edge is walked twice the same way"
     assert all((b, a) in forward for a, b in forward)
 
 

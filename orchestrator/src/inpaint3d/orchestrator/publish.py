@@ -10,8 +10,7 @@ from inpaint3d.contracts.models.artifacts import Evaluation, UsdScene
 from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Store
 from inpaint3d.orchestrator.times import render_times
-
-MARK = "<!-- inpaint3d:run -->"
+from inpaint3d.report.page import RUN_MARKER
 
 
 def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
@@ -24,9 +23,11 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         protocols = artifact.metadata.protocols
         _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
         html = artifact.path(artifact.metadata.report).read_text()
-        if MARK not in html:
-            raise ArtifactError(f"{artifact.metadata.report} of {digest} lacks the line {MARK}; re-run evaluation")
-        _write(folder / "report.html", html.replace(MARK, render_times(store, record)).encode())
+        if RUN_MARKER not in html:
+            raise ArtifactError(
+                f"{artifact.metadata.report} of {digest} lacks the line {RUN_MARKER}; re-run evaluation"
+            )
+        _write(folder / "report.html", html.replace(RUN_MARKER, render_times(store, record)).encode())
     if digest := outputs.get("usd-export", {}).get("usd-scene"):
         scene = store.open(digest, UsdScene)
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())

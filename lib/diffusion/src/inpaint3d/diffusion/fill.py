@@ -43,7 +43,7 @@ def _push_pull(premultiplied: Tensor, weight: Tensor) -> Tensor:
         return colour
     half_colour = F.avg_pool2d(premultiplied, 2, ceil_mode=True)
     half_weight = F.avg_pool2d(weight, 2, ceil_mode=True)
-    # A cell counts as full once half of it is known: it then no longer bleeds in colours from further away.
+    # Half a cell of known pixels is enough to colour it: colours from further away are mixed in below that only.
     full = torch.clamp(2 * half_weight, max=1.0)
     scale = full / torch.where(half_weight > 0, half_weight, 1.0)
     coarse = _push_pull(half_colour * scale, full)

@@ -2,7 +2,7 @@
 
 Pictures are in [-1, 1], masks are 1 inside the hole, z_t is noised everywhere. What the network really sees (noise or a
 fill in the hole, clean or noised known pixels) is in the spec, and training and every query go through the same
-`shown` and `filled`, so that the prior is asked exactly what it was taught.
+`prepare_z` and `fill_hole`, so that the prior is asked exactly what it was taught.
 """
 
 import math
@@ -67,7 +67,7 @@ class InpaintingPrior(nn.Module):
         """The image itself."""
         return latent
 
-    def filled(self, image: Image, mask: Mask, noise_fill: Image | None = None) -> Image:
+    def fill_hole(self, image: Image, mask: Mask, noise_fill: Image | None = None) -> Image:
         """The picture as the condition shows it: known pixels, and in the hole noise (D5) or a smooth fill.
 
         What `image` holds under the mask is never looked at. noise_fill: N(0, 1), needed by `noise-fill` priors only.
@@ -82,7 +82,7 @@ class InpaintingPrior(nn.Module):
         """What the output means at these noise levels."""
         return Parameterisation(self.spec.prediction, t, self.spec.residual_bands, self.spec.residual_colours)
 
-    def shown(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
+    def prepare_z(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
         """z_t as this prior sees it: noised everywhere (D9), or without noise on the known pixels, alpha(t) x."""
         if self.spec.known == "noised":
             return z
@@ -90,11 +90,11 @@ class InpaintingPrior(nn.Module):
         return torch.where(mask > 0, z, a * fill)
 
     def forward(self, z: Image, t: Times, fill: Image, mask: Mask) -> Image:
-        """The network's raw output for z_t as `shown`; its meaning is `spec.prediction`."""
+        """The network's raw output for z_t as of `prepare_z`; its meaning is `spec.prediction`."""
         channels = [z, fill]
         if self.spec.prediction == "residual":
-            # Not z: near t = 1 it is all noise, which the network would first have to learn to ignore. The linear guess
-            # says as much about x, and fades into the fill by itself.
+            # z itself would be all noise near t = 1, and the network would have to learn to ignore it. The linear guess
+            # holds the same information about x, and becomes the fill there.
             guess = self.parameterisation(t).linear_guess(z, fill)
             spread = math.sqrt(pixel_variance(self.spec.residual_bands)) * torch.tensor(self.spec.residual_colours)
             channels = [to_opponent(guess - fill) / spread.to(z)[:, None, None], fill]
@@ -109,8 +109,8 @@ class InpaintingPrior(nn.Module):
         Known pixels of a `clean` prior are known: there the estimate is the image itself and the noise that z_t then
         must hold.
         """
-        fill = self.filled(image, mask, noise_fill)
-        parameterisation, seen = self.parameterisation(t), self.shown(z, t, fill, mask)
+        fill = self.fill_hole(image, mask, noise_fill)
+        parameterisation, seen = self.parameterisation(t), self.prepare_z(z, t, fill, mask)
         output = self(seen, t, fill, mask)
         clean, noise = parameterisation.clean(output, seen, fill), parameterisation.noise(output, seen, fill)
         if self.spec.known == "clean":

@@ -108,7 +108,7 @@ def denoising_loss(
     t, eps, noise_fill, dropped = (tensor.to(device) for tensor in (t, eps, noise_fill, dropped))
 
     hole = torch.maximum(batch.hole, dropped.expand_as(batch.hole))
-    fill = prior.filled(batch.image, hole, noise_fill)
+    fill = prior.fill_hole(batch.image, hole, noise_fill)
     # Where the truth is unknown z is made of the fill: never of a pixel that must not be learnt.
     x = torch.where(batch.teach > 0, batch.image, stand_in_for(fill, hole, spec))
     region = batch.teach * (hole if spec.loss_region == "hole" else 1)
@@ -120,11 +120,11 @@ def _error(prior: InpaintingPrior, x: Image, eps: Image, t: Tensor, fill: Image,
     """What is squared: the error of the network's output, or for `residual` that of the clean picture."""
     parameterisation = prior.parameterisation(t)
     a, s = parameterisation.levels
-    z = prior.shown(a * x + s * eps, t, fill, hole)
+    z = prior.prepare_z(a * x + s * eps, t, fill, hole)
     output = prior(z, t, fill, hole)
     if prior.spec.prediction != "residual":
         return output - parameterisation.target(x, eps, fill)
-    # In units of what a white guess of the same variance would leave over (EDM's weight): in units of each band the
+    # Weighted by the error of a guess with one variance for all bands (EDM's weight). Weighted band by band, the
     # finest, three quarters of all numbers, would drown the coarse ones that matter to the eye.
     variance = pixel_variance(prior.spec.residual_bands) * float(np.square(prior.spec.residual_colours).mean())
     unit = s * (variance / (a**2 * variance + s**2)).sqrt()

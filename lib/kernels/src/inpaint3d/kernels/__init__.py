@@ -26,9 +26,31 @@ from inpaint3d.kernels._native import (
     set_isa,
     unit_cube,
 )
+from inpaint3d.kernels.arguments import (
+    Cells,
+    ColourMap,
+    Colours,
+    Histogram,
+    Logits,
+    Network,
+    Rays,
+    Rendered,
+    SampleGradients,
+    Samples,
+)
 
 __all__ = [
     "MOST_RUN",
+    "Cells",
+    "ColourMap",
+    "Colours",
+    "Histogram",
+    "Logits",
+    "Network",
+    "Rays",
+    "Rendered",
+    "SampleGradients",
+    "Samples",
     "adam",
     "colours_backward",
     "colours_forward",

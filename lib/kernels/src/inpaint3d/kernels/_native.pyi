@@ -1,10 +1,21 @@
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
+from inpaint3d.kernels.arguments import (
+    Array,
+    Cells,
+    ColourMap,
+    Colours,
+    Histogram,
+    Logits,
+    Network,
+    Rays,
+    Rendered,
+    SampleGradients,
+    Samples,
+)
 
-Array = NDArray[np.float32]
 Level = tuple[int, int, int, bool]  # resolution, first entry, entries, dense
+AdamStep = tuple[int, float, float, float, float, float, bool]  # step, lr, beta1, beta2, eps, decay, sparse
 
 MOST_RUN: int
 """Rows that may share a start, at most."""
@@ -29,106 +40,32 @@ def hash_backward(
     Entries of no level keep what they hold.
     """
 
-def mlp_forward(x: Array, weights: Sequence[Array], starts: Array | None, out: Array, *, threads: int = 1) -> None:
-    """Write the network's output for x [n, i] to out [n, o]: weights [out, in], ReLU between layers, the last linear.
+def mlp_forward(network: Network, out: Array, *, threads: int = 1) -> None:
+    """Write the network's output to out [n, o]."""
 
-    starts [m, out of the first layer]: what its sums start from, a row for each run of n / m <= 192 rows.
-    """
+def mlp_backward(network: Network, out_grad: Array, grads: Network, *, threads: int = 1) -> None:
+    """Overwrite grads with mlp_forward's gradients, given out_grad [n, o]."""
 
-def mlp_backward(
-    x: Array,
-    weights: Sequence[Array],
-    starts: Array | None,
-    out_grad: Array,
-    x_grad: Array | None,
-    weight_grads: Sequence[Array],
-    starts_grad: Array | None,
-    *,
-    threads: int = 1,
-) -> None:
-    """Overwrite x_grad, weight_grads and starts_grad with mlp_forward's gradients, given out_grad [n, o]."""
-
-def composite_forward(
-    density: Array,
-    rgb: Array,
-    tdist: Array,
-    weights: Array,
-    rgb_out: Array,
-    opacity: Array,
-    depth_sum: Array,
-    *,
-    threads: int = 1,
-) -> None:
-    """Volume-render density [r, s] (>= 0) and rgb [r, s, 3] between the distances tdist [r, s + 1], sorted.
-
-    Writes weights [r, s], rgb_out [r, 3], opacity [r] and the sum of weights x middle distance [r].
-    """
+def composite_forward(samples: Samples, out: Rendered, *, threads: int = 1) -> None:
+    """Volume-render the samples of each ray; overwrites out."""
 
 def composite_backward(
-    density: Array,
-    rgb: Array,
-    tdist: Array,
-    weights: Array,
-    weights_grad: Array,
-    rgb_out_grad: Array,
-    opacity_grad: Array,
-    depth_sum_grad: Array,
-    density_grad: Array,
-    rgb_grad: Array,
-    *,
-    threads: int = 1,
+    samples: Samples, weights: Array, out_grads: Rendered, grads: SampleGradients, *, threads: int = 1
 ) -> None:
-    """Overwrite density_grad and rgb_grad, given composite_forward's weights and the gradients of its outputs."""
+    """Overwrite grads, given composite_forward's weights and the gradients of its outputs."""
 
-def colours_forward(
-    diffuse: Array,
-    specular: Array | None,
-    exposure: Array | None,
-    rgb: Array,
-    diffuse_rgb: Array,
-    *,
-    scale: float,
-    padding: float,
-    threads: int = 1,
-) -> None:
-    """Write the colours of logits diffuse + scale * specular [n, 3] to rgb, of diffuse alone to diffuse_rgb [n, 3].
-
-    exposure [m, 6]: log gain and offset of the logits, a row for each run of n / m points. Then a sigmoid from
-    -padding to 1 + padding.
-    """
+def colours_forward(logits: Logits, colour_map: ColourMap, out: Colours, *, threads: int = 1) -> None:
+    """Write the colours of logits to out, whose arrays are both there."""
 
 def colours_backward(
-    diffuse: Array,
-    specular: Array | None,
-    exposure: Array | None,
-    rgb_grad: Array | None,
-    diffuse_rgb_grad: Array | None,
-    diffuse_grad: Array,
-    specular_grad: Array | None,
-    exposure_grad: Array | None,
-    *,
-    scale: float,
-    padding: float,
-    threads: int = 1,
+    logits: Logits, colour_map: ColourMap, out_grads: Colours, grads: Logits, *, threads: int = 1
 ) -> None:
-    """Overwrite the gradients of what colours_forward was given; that of an output is zero where it is None."""
+    """Overwrite grads, the gradients of what colours_forward was given."""
 
-def grid_histogram(
-    density: Array,
-    side: int,
-    origins: Array,
-    directions: Array,
-    tdist: Array,
-    bound: float | None,
-    floor: float,
-    out: Array,
-    *,
-    threads: int = 1,
-) -> None:
-    """Write to out [r, bins] how rays [r, 3] may be sampled between tdist [bins + 1], from densities in side^3 cells.
+def grid_histogram(cells: Cells, rays: Rays, floor: float, out: Array, *, threads: int = 1) -> None:
+    """Write to out [r, bins] how rays may be sampled, from densities in cells.
 
-    Weights of volume rendering, each averaged with its neighbours' where those are larger, plus floor. bound: half side
-    of the cells' cube; None: it holds space contracted into the ball of radius 2.
+    Weights of volume rendering, each averaged with its neighbours' where those are larger, plus floor.
     """
 
 def grid_learn(density: Array, side: int, cube: Array, seen: Array, memory: float) -> None:
@@ -145,41 +82,18 @@ def resample(sdist: Array, weights: Array, jitter: Array | None, out: Array, *, 
 def unit_cube(points: Array, out: Array, *, threads: int = 1) -> None:
     """Write the points [n, 3], contracted into the ball of radius 2 and scaled to [0, 1]^3, to out [n, 3]."""
 
-def interlevel_forward(
-    ends: Array, weights: Array, other_ends: Array, other_weights: Array, out: Array, *, threads: int = 1
-) -> None:
-    """Write to out [r] by how much the histogram (other_ends [r, m + 1], other_weights [r, m]) fails to bound
-    (ends [r, n + 1], weights [r, n]): eq. 13 of arXiv:2111.12077, summed over the intervals of a ray.
+def interlevel_forward(histogram: Histogram, other: Histogram, out: Array, *, threads: int = 1) -> None:
+    """Write to out [r] by how much the other histogram fails to bound the first: eq. 13 of arXiv:2111.12077, summed
+    over the intervals of a ray.
     """
 
 def interlevel_backward(
-    ends: Array,
-    weights: Array,
-    other_ends: Array,
-    other_weights: Array,
-    out_grad: Array,
-    grad: Array,
-    *,
-    threads: int = 1,
+    histogram: Histogram, other: Histogram, out_grad: Array, grad: Array, *, threads: int = 1
 ) -> None:
-    """Overwrite grad [r, m] with the gradient by other_weights, given out_grad [r]."""
+    """Overwrite grad [r, m] with the gradient by the other's weights, given out_grad [r]."""
 
-def adam(
-    param: Array,
-    grad: Array,
-    m: Array,
-    v: Array,
-    *,
-    step: int,
-    lr: float,
-    beta1: float,
-    beta2: float,
-    eps: float,
-    decay: float = 0.0,
-    sparse: bool = False,
-    threads: int = 1,
-) -> int:
-    """One step of Adam in place on flat param, m and v [n]; `step` counts from 1. Denormal moments become zero.
+def adam(param: Array, grad: Array, m: Array, v: Array, how: AdamStep, *, threads: int = 1) -> int:
+    """One step of Adam in place on flat param, m and v [n]; steps count from 1. Denormal moments become zero.
 
     decay: the gradient is grad + decay * param. sparse: numbers with grad = 0 are left alone, moments too. So are those
     whose grad is not finite: how many is returned.

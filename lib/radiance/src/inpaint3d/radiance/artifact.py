@@ -18,7 +18,7 @@ from inpaint3d.scene.normals import normals_of
 if TYPE_CHECKING:
     from inpaint3d.radiance.fields import RadianceField
 
-# Where more light goes through than stops there is no surface to have a normal.
+# Less opaque than this, most light goes through: there is no surface that could have a normal.
 OPAQUE = 0.5
 CURVE_COLUMNS = ("step", "rays", "loss", "psnr")
 
@@ -66,7 +66,7 @@ def write_view(folder: Path, name: str, camera: Camera, maps: Mapping[str, NDArr
 def reduce_camera(camera: Camera, longest_side: int) -> Camera:
     """The camera with its longest side reduced to at most `longest_side` pixels; never enlarged."""
     share = min(1.0, longest_side / max(camera.width, camera.height))
-    return camera.scaled(max(1, round(camera.width * share)), max(1, round(camera.height * share)))
+    return camera.resize_to(max(1, round(camera.width * share)), max(1, round(camera.height * share)))
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[float | int]]) -> None:

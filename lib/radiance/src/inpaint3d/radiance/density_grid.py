@@ -12,11 +12,12 @@ from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.spacing import Spacing
 
-# Per scene unit: what has not been looked at lets light through, but draws samples.
+# Density of a cell that was never asked, per scene unit: thin enough not to hide what lies behind it, dense enough that
+# samples are placed in it.
 UNSEEN = 0.5
-# What is left of a cell's density each time it is looked at again; it then rises to the largest that was seen.
+# A cell that is asked again keeps this share of its density, or takes the largest new one: it forgets what is gone.
 MEMORY = 0.5
-# Weight that every interval gets, so that what the cells have missed is found.
+# Added to the weight of every interval, so that surfaces in cells that look empty still get samples.
 FLOOR = 0.01
 
 
@@ -39,9 +40,8 @@ class DensityGrid(nn.Module):
         """Ends, evenly in s, and weights of each ray's intervals (`backends.reference.grid_histogram`)."""
         ends = torch.linspace(0, 1, self.bins + 1, device=origins.device)
         tdist = self._spacing.metric_from_normalised(ends)
-        weights = backend.grid_histogram(
-            self.density, self.cells, origins, directions, tdist, self._contraction, self._bound, FLOOR
-        )
+        cells = backends.Cells(self.density, self.cells, self._contraction, self._bound)
+        weights = backend.grid_histogram(cells, origins, directions, tdist, FLOOR)
         return ends.expand(len(origins), -1), weights
 
     @torch.no_grad()

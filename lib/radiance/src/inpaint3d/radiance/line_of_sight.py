@@ -14,7 +14,7 @@ from inpaint3d.radiance.rendering import Rendering
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 
-# How far from a point, as a share of its distance, light may stop that stops at it.
+# Light that stops within this share of a point's distance, before or behind it, counts as stopping at the point.
 TOLERANCE = 0.03
 
 
@@ -58,7 +58,7 @@ class SightLines:
         """From origins to points, [n, 3] both."""
         offsets = points - origins
         distance = np.linalg.norm(offsets, axis=1)
-        # A point in a camera's centre has no direction; nothing is to be learnt of it.
+        # A point in the camera's centre gives no direction: its ray is left out.
         near = np.maximum(distance, np.finfo(np.float32).tiny)[:, None]
         arrays = (origins, offsets / near, distance)
         origin, direction, length = (torch.from_numpy(a).to(device, torch.float32) for a in arrays)

@@ -61,7 +61,7 @@ class Adam:
     ) -> None:
         self._field, self._sparse, self._network_scale = field, sparse, network_scale
         self._betas, self._eps, self._before_step = betas, eps, before_step
-        # A level's mean square weighs each of its entries by one over their number: the levels decay apart.
+        # The term is a mean over each level's entries: how fast an entry decays depends on how many its level has.
         self._levels = {
             id(grid.table): [
                 (slice(level.offset, level.offset + level.size), 2 * hash_decay / (level.size * grid.table.shape[1]))

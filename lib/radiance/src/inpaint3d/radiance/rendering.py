@@ -15,7 +15,7 @@ from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.volume import alpha_weights, median_distance
 from inpaint3d.scene.cameras import Camera
 
-# Below this opacity a ray has met nothing, and its depth is the far end.
+# A ray of less opacity has met no surface: its depth is the far end.
 EMPTY = 1e-3
 # What is seen through a field that is not opaque.
 BACKGROUND = 0.5

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-# exp(15) = 3.3e6 per scene unit: a thousandth of a thousandth of a unit is opaque.
+# exp(15) = 3.3e6 per scene unit: a millionth of a unit is opaque already, and the gradient stays finite.
 EXP_CEILING = 15.0
 
 

@@ -14,8 +14,8 @@ Count = Annotated[int, Field(ge=1)]
 Samples = Annotated[int, Field(ge=2)]
 Log2 = Annotated[int, Field(ge=4, le=28)]
 
-# Without contraction, the share in percent of the sparse points that the cube holds, and its margin: outliers must not
-# blow it up.
+# Without contraction the cube is just large enough for this percentage of the sparse points (outliers would make it far
+# too large), times the margin.
 POINTS_INSIDE, CUBE_MARGIN = 99.0, 1.1
 
 

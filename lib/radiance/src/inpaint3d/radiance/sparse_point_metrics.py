@@ -13,7 +13,8 @@ from inpaint3d.radiance.rendering import render
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 
-# What stops light before this share of the way to a point that the camera saw is no surface.
+# The camera saw the point, so nothing lies before it: density on this share of the way is fog, not a surface. The rest
+# of the way belongs to the surface that the point lies on.
 FRONT = 0.9
 MAX_SIGHT_LINES = 4096
 

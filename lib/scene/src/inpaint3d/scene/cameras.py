@@ -109,7 +109,7 @@ class Camera:
             & (xy[..., 1] < self.height)
         )
 
-    def scaled(self, width: int, height: int) -> "Camera":
+    def resize_to(self, width: int, height: int) -> "Camera":
         """The same camera with its picture resampled to another size."""
         sx, sy = width / self.width, height / self.height
         return replace(

@@ -39,7 +39,7 @@ def ray_box(
     half = np.asarray(size, np.float64) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         t0, t1 = (-half - origins) / directions, (half - origins) / directions
-    # A ray within a face's plane gives 0/0: that slab does not bound it.
+    # 0/0 where the ray lies in the plane of a face: that pair of faces does not limit it.
     low = np.where(np.isnan(t0) | np.isnan(t1), -np.inf, np.minimum(t0, t1)).max(-1)
     high = np.where(np.isnan(t0) | np.isnan(t1), np.inf, np.maximum(t0, t1)).min(-1)
     hit = (low <= high) & (high > 0)

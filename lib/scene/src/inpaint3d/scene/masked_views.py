@@ -59,7 +59,7 @@ def load_masked_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -
             raise BadInputError(f"the mask set has no mask for view {view.name}; re-run mask-authoring on this capture")
         hole = read_mask(masks.path(mask.mask), (view.camera.width, view.camera.height))
         known = view.valid() & ~hole
-        # Blanked here, once: nothing after this line can look under the mask, whatever it does wrong.
+        # Blanked when the view is read, so that no later code can use masked pixels, not even by mistake.
         image = np.where(known[..., None], view.image(), np.float32(0))
         views[view.split].append(MaskedView(view.name, view.camera, image, hole, known))
     if not any(v.known.any() for v in views["train"]):

@@ -30,7 +30,7 @@ def shrink(mask: Mask, radius: int) -> Mask:
 
 def reach_of_disc(radius: int) -> float:
     """Distance in pixels that a disc of a radius stays below: x^2 + y^2 <= radius^2 + radius, which looks round."""
-    # Squared distances are whole numbers: half a pixel squared of slack decides no case, and forgives the square root.
+    # Squared distances are whole numbers, so that a slack of 0.5 changes no decision and absorbs the rounding of sqrt.
     return float(np.sqrt(radius * radius + radius + 0.5))
 
 

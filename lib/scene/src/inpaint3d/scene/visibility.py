@@ -66,7 +66,7 @@ def shrink_holes(
         points = own.camera.unproject(pixels, own.depth[y, x])
         for other in (*coarse[:index], *coarse[index + 1 :]):
             support[y, x] += find_visible(other, points, own.camera, pixels)
-        # One cell more: a seam between what is kept and what is made up needs room to be closed.
+        # One cell more is filled anew, so that the seam between known and filled pixels can be blended.
         unseen = grow(own.hole & (support < min_supporting_views), 1)
         reduced.append(replace(view, hole=view.hole & enlarge_cells(unseen, view.hole.shape)))
     return reduced
@@ -85,7 +85,7 @@ def find_visible(view: CoarseView, points: NDArray[np.float64], own: Camera, pix
 def coarsen(view: MaskedView, depth: NDArray[np.float32]) -> CoarseView:
     """The view at the size of its depth map [h, w]."""
     h, w = depth.shape
-    return CoarseView(view.camera.scaled(w, h), depth, pool_any(view.hole, h, w), ~pool_any(~view.known, h, w))
+    return CoarseView(view.camera.resize_to(w, h), depth, pool_any(view.hole, h, w), ~pool_any(~view.known, h, w))
 
 
 def pool_any(mask: Mask, height: int, width: int) -> Mask:

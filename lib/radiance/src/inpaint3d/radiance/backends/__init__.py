@@ -13,7 +13,9 @@ import torch
 from torch import Tensor
 
 from inpaint3d.radiance.backends import reference
-from inpaint3d.radiance.backends.reference import AdamStep, Level
+from inpaint3d.radiance.backends.reference import AdamStep, Cells, Level
+
+__all__ = ["AdamStep", "Backend", "Cells", "Level", "Name", "name_of", "select"]
 
 Name = Literal["reference", "native", "compiled"]
 
@@ -33,16 +35,7 @@ class Backend(Protocol):
         diffuse: Tensor, specular: Tensor | None, exposure: Tensor | None, specular_scale: float = 1.0
     ) -> tuple[Tensor, Tensor]: ...
     @staticmethod
-    def grid_histogram(
-        density: Tensor,
-        side: int,
-        origins: Tensor,
-        directions: Tensor,
-        tdist: Tensor,
-        contraction: bool,
-        bound: float,
-        floor: float,
-    ) -> Tensor: ...
+    def grid_histogram(cells: Cells, origins: Tensor, directions: Tensor, tdist: Tensor, floor: float) -> Tensor: ...
     @staticmethod
     def grid_learn(density: Tensor, side: int, cube: Tensor, seen: Tensor, memory: float) -> None: ...
     @staticmethod

@@ -16,7 +16,7 @@ from torch import Tensor
 from inpaint3d import kernels
 from inpaint3d.radiance.architecture import Level
 from inpaint3d.radiance.backends import reference
-from inpaint3d.radiance.backends.reference import AdamStep
+from inpaint3d.radiance.backends.reference import AdamStep, Cells
 from inpaint3d.radiance.memory import GradientMemory
 
 __all__ = [
@@ -28,6 +28,10 @@ __all__ = [
 def are_supported(*tensors: Tensor) -> bool:
     """True where all tensors are of the kind that the kernels take."""
     return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
+
+
+def _arrays(tensors: Sequence[Tensor | None]) -> list[Any]:
+    return [None if tensor is None else tensor.numpy() for tensor in tensors]
 
 
 class _HashEncode(torch.autograd.Function):
@@ -84,13 +88,7 @@ class _Mlp(torch.autograd.Function):
         starts = None if starts is None else starts.contiguous()
         ctx.save_for_backward(x, starts, *weights)
         out = x.new_empty(x.shape[0], weights[-1].shape[0])
-        kernels.mlp_forward(
-            x.numpy(),
-            [weight.numpy() for weight in weights],
-            None if starts is None else starts.numpy(),
-            out.numpy(),
-            threads=torch.get_num_threads(),
-        )
+        kernels.mlp_forward(_network(x, starts, weights), out.numpy(), threads=torch.get_num_threads())
         return out
 
     @staticmethod
@@ -103,16 +101,17 @@ class _Mlp(torch.autograd.Function):
         x_grad = torch.empty_like(x) if ctx.needs_input_grad[0] else None
         starts_grad = None if starts is None else torch.empty_like(starts)
         kernels.mlp_backward(
-            x.numpy(),
-            [weight.numpy() for weight in weights],
-            None if starts is None else starts.numpy(),
+            _network(x, starts, weights),
             grad_outputs[0].contiguous().numpy(),
-            None if x_grad is None else x_grad.numpy(),
-            [grad.numpy() for grad in grads],
-            None if starts_grad is None else starts_grad.numpy(),
+            _network(x_grad, starts_grad, grads),
             threads=torch.get_num_threads(),
         )
         return x_grad, starts_grad, *grads
+
+
+def _network(x: Tensor | None, starts: Tensor | None, weights: Sequence[Tensor]) -> kernels.Network:
+    x_array, starts_array = _arrays((x, starts))
+    return kernels.Network(x_array, [weight.numpy() for weight in weights], starts_array)
 
 
 def mlp(
@@ -138,7 +137,10 @@ class _Colours(torch.autograd.Function):
         ctx.scale = scale
         ctx.set_materialize_grads(False)
         outs = (diffuse.new_empty(diffuse.shape), diffuse.new_empty(diffuse.shape))
-        kernels.colours_forward(*_arrays(given), *(out.numpy() for out in outs), **_colour_map(scale))
+        out = kernels.Colours(*_arrays(outs))
+        kernels.colours_forward(
+            kernels.Logits(*_arrays(given)), _colour_map(scale), out, threads=torch.get_num_threads()
+        )
         return outs
 
     @staticmethod
@@ -149,16 +151,18 @@ class _Colours(torch.autograd.Function):
         given = ctx.saved_tensors
         out_grads = [None if grad is None else grad.contiguous() for grad in grad_outputs]
         grads = [None if tensor is None else torch.empty_like(tensor) for tensor in given]
-        kernels.colours_backward(*_arrays(given), *_arrays(out_grads), *_arrays(grads), **_colour_map(ctx.scale))
+        kernels.colours_backward(
+            kernels.Logits(*_arrays(given)),
+            _colour_map(ctx.scale),
+            kernels.Colours(*_arrays(out_grads)),
+            kernels.Logits(*_arrays(grads)),
+            threads=torch.get_num_threads(),
+        )
         return *grads, None
 
 
-def _arrays(tensors: Sequence[Tensor | None]) -> list[Any]:
-    return [None if tensor is None else tensor.numpy() for tensor in tensors]
-
-
-def _colour_map(scale: float) -> dict[str, Any]:
-    return {"scale": scale, "padding": reference.COLOUR_PADDING, "threads": torch.get_num_threads()}
+def _colour_map(scale: float) -> kernels.ColourMap:
+    return kernels.ColourMap(scale, reference.COLOUR_PADDING)
 
 
 def colours(
@@ -175,24 +179,24 @@ def colours(
 
 @torch.no_grad()
 def grid_histogram(
-    density: Float[Tensor, " cells"],
-    side: int,
+    cells: Cells,
     origins: Float[Tensor, "r 3"],
     directions: Float[Tensor, "r 3"],
     tdist: Float[Tensor, " ends"],
-    contraction: bool,
-    bound: float,
     floor: float,
 ) -> Float[Tensor, "r ends-1"]:
     """`reference.grid_histogram`."""
-    arrays = [tensor.detach().contiguous() for tensor in (density, origins, directions, tdist)]
-    if not are_supported(*arrays):
-        return reference.grid_histogram(density, side, origins, directions, tdist, contraction, bound, floor)
+    tensors = [tensor.detach().contiguous() for tensor in (cells.density, origins, directions, tdist)]
+    if not are_supported(*tensors):
+        return reference.grid_histogram(cells, origins, directions, tdist, floor)
+    density, *rays = (tensor.numpy() for tensor in tensors)
     out = tdist.new_empty(len(origins), len(tdist) - 1)
-    cells, starts, towards, ends = (array.numpy() for array in arrays)
-    half = None if contraction else bound
     kernels.grid_histogram(
-        cells, side, starts, towards, ends, half, floor, out.numpy(), threads=torch.get_num_threads()
+        kernels.Cells(density, cells.side, None if cells.contraction else cells.bound),
+        kernels.Rays(*rays),
+        floor,
+        out.numpy(),
+        threads=torch.get_num_threads(),
     )
     return out
 
@@ -219,13 +223,8 @@ class _Composite(torch.autograd.Function):
         density, rgb, tdist = density.contiguous(), rgb.contiguous(), tdist.contiguous()
         rays = density.shape[0]
         outs = (torch.empty_like(density), rgb.new_empty(rays, 3), rgb.new_empty(rays), rgb.new_empty(rays))
-        kernels.composite_forward(
-            density.numpy(),
-            rgb.numpy(),
-            tdist.numpy(),
-            *(out.numpy() for out in outs),
-            threads=torch.get_num_threads(),
-        )
+        samples = kernels.Samples(density.numpy(), rgb.numpy(), tdist.numpy())
+        kernels.composite_forward(samples, kernels.Rendered(*_arrays(outs)), threads=torch.get_num_threads())
         ctx.save_for_backward(density, rgb, tdist, outs[0])
         return outs
 
@@ -237,12 +236,10 @@ class _Composite(torch.autograd.Function):
         density, rgb, tdist, weights = ctx.saved_tensors
         grads = (torch.empty_like(density), torch.empty_like(rgb))
         kernels.composite_backward(
-            density.numpy(),
-            rgb.numpy(),
-            tdist.numpy(),
+            kernels.Samples(density.numpy(), rgb.numpy(), tdist.numpy()),
             weights.numpy(),
-            *(grad.contiguous().numpy() for grad in grad_outputs),
-            *(grad.numpy() for grad in grads),
+            kernels.Rendered(*(grad.contiguous().numpy() for grad in grad_outputs)),
+            kernels.SampleGradients(*_arrays(grads)),
             threads=torch.get_num_threads(),
         )
         return *grads, None
@@ -298,10 +295,7 @@ class _Interlevel(torch.autograd.Function):
         histograms = tuple(tensor.contiguous() for tensor in histograms)
         ctx.save_for_backward(*histograms)
         out = histograms[0].new_empty(len(histograms[0]))
-        ends, weights, other_ends, other_weights = (tensor.numpy() for tensor in histograms)
-        kernels.interlevel_forward(
-            ends, weights, other_ends, other_weights, out.numpy(), threads=torch.get_num_threads()
-        )
+        kernels.interlevel_forward(*_histograms(histograms), out.numpy(), threads=torch.get_num_threads())
         return out
 
     @staticmethod
@@ -310,18 +304,16 @@ class _Interlevel(torch.autograd.Function):
         ctx: Any, *grad_outputs: Tensor
     ) -> tuple[None, None, None, Tensor]:
         saved = ctx.saved_tensors
-        ends, weights, other_ends, other_weights = (tensor.numpy() for tensor in saved)
         grad, out_grad = torch.empty_like(saved[3]), grad_outputs[0].contiguous()
         kernels.interlevel_backward(
-            ends,
-            weights,
-            other_ends,
-            other_weights,
-            out_grad.numpy(),
-            grad.numpy(),
-            threads=torch.get_num_threads(),
+            *_histograms(saved), out_grad.numpy(), grad.numpy(), threads=torch.get_num_threads()
         )
         return None, None, None, grad
+
+
+def _histograms(tensors: Sequence[Tensor]) -> tuple[kernels.Histogram, kernels.Histogram]:
+    ends, weights, other_ends, other_weights = _arrays(tensors)
+    return kernels.Histogram(ends, weights), kernels.Histogram(other_ends, other_weights)
 
 
 def interlevel(
@@ -356,6 +348,6 @@ def adam_step(
         grad.detach().contiguous().view(-1).numpy(),
         m.view(-1).numpy(),
         v.view(-1).numpy(),
-        **how._asdict(),
+        how,
         threads=torch.get_num_threads(),
     )

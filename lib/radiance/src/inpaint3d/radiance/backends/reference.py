@@ -13,7 +13,7 @@ from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.volume import alpha_weights
 
 __all__ = [
-    "AdamStep", "Level", "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode",
+    "AdamStep", "Cells", "Level", "adam_step", "colours", "composite", "grid_histogram", "grid_learn", "hash_encode",
     "interlevel", "levels_of", "mlp", "resample", "unit_cube",
 ]  # fmt: skip
 
@@ -101,26 +101,32 @@ def colours(
     return to_colour(both), to_colour(diffuse)
 
 
+class Cells(NamedTuple):
+    """Densities in the side^3 cells of the cube that hash grids live in (`unit_cube`)."""
+
+    density: Float[Tensor, " cells"]
+    side: int
+    contraction: bool
+    bound: float
+
+
 @torch.no_grad()
 def grid_histogram(
-    density: Float[Tensor, " cells"],
-    side: int,
+    cells: Cells,
     origins: Float[Tensor, "r 3"],
     directions: Float[Tensor, "r 3"],
     tdist: Float[Tensor, " ends"],
-    contraction: bool,
-    bound: float,
     floor: float,
 ) -> Float[Tensor, "r ends-1"]:
-    """How rays are to be sampled between tdist, by the densities in side^3 cells of the cube that grids live in.
+    """How rays are to be sampled between tdist, by the densities in cells.
 
     The weights are those of volume rendering, of what is looked up at the intervals' middles, spread to neighbours and
     raised by a floor as in Mip-NeRF (arXiv:2103.13415, section 3.1), since a surface may lie beside the middle.
     """
     middle = (tdist[1:] + tdist[:-1]) / 2
     points = torch.addcmul(origins[:, None], directions[:, None], middle[:, None]).reshape(-1, 3)
-    cell = _cell(unit_cube(points, contraction, bound), side)
-    weights = alpha_weights(density[cell].reshape(len(origins), len(middle)), tdist.expand(len(origins), -1))
+    cell = _cell(unit_cube(points, cells.contraction, cells.bound), cells.side)
+    weights = alpha_weights(cells.density[cell].reshape(len(origins), len(middle)), tdist.expand(len(origins), -1))
     larger = F.max_pool1d(weights[:, None], 2, stride=1, padding=1)[:, 0]
     return (larger[:, 1:] + larger[:, :-1]) / 2 + floor
 

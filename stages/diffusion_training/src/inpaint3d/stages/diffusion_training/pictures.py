@@ -84,7 +84,7 @@ class StoredPicture:
     def read(self) -> KnownPicture:
         stored = read_stored(self.path)
         nothing = np.zeros(stored.shape[:2], bool)
-        # Codes stay codes: most of a large picture is not in the crop, and converting it costs as much as decoding it.
+        # Pixels stay 8-bit until they are cropped: converting all of a large picture costs as much as decoding it.
         return KnownPicture(self.name, stored if stored.dtype == np.uint8 else stored * 2 - 1, nothing, nothing)
 
 
@@ -150,7 +150,7 @@ class Cropper:
         short = min(height, width)
         share = float(np.exp(rng.uniform(*np.log(np.maximum(self.share, 1e-3)))))
         side = short if rng.random() < self.whole_share else round(short * share)
-        # Enlarging teaches blur: where the frame allows, no more of it than was asked for.
+        # Enlarged pictures are blurred, and a prior learns that: no more than was asked for, where the frame allows.
         side = min(short, max(side, round(self.size / self.enlarged)))
         y, x = (int(rng.integers(extent - side + 1)) for extent in (height, width))
         window = np.s_[y : y + side, x : x + side]

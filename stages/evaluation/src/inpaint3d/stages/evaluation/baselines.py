@@ -34,7 +34,7 @@ def mean_colour(photos: list[Photo]) -> NDArray[np.float32]:
     return (total / count).astype(np.float32) if count else np.full(3, 0.5, np.float32)
 
 
-def interpolated_depth(camera: Camera, points: ArrayLike, neighbours: int = 4) -> NDArray[np.float64] | None:
+def interpolate_depth(camera: Camera, points: ArrayLike, neighbours: int = 4) -> NDArray[np.float64] | None:
     """Depth along the axis [h, w] from the sparse points [p, 3] that fall in the picture; None if none does.
 
     Each place takes the mean of its nearest points' inverse depths (a plane is linear in inverse depth), weighted by
@@ -47,7 +47,7 @@ def interpolated_depth(camera: Camera, points: ArrayLike, neighbours: int = 4) -
         return None
     xy, inverse = xy[seen], 1.0 / z[seen]
     k = min(neighbours, len(inverse))
-    coarse = camera.scaled(-(-camera.width // LATTICE), -(-camera.height // LATTICE))
+    coarse = camera.resize_to(-(-camera.width // LATTICE), -(-camera.height // LATTICE))
     scale = np.array([camera.width / coarse.width, camera.height / coarse.height])
     rows = []
     for pixels in coarse.pixel_centres() * scale:

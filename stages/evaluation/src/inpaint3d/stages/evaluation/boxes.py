@@ -28,7 +28,7 @@ class Box:
         """Rows and columns, to index an image [h, w, ...]."""
         return slice(self.y0, self.y1), slice(self.x0, self.x1)
 
-    def grown(self, margin_x: int, margin_y: int, width: int, height: int) -> "Box":
+    def grow(self, margin_x: int, margin_y: int, width: int, height: int) -> "Box":
         """The box with a margin on each side, cut to a picture of width x height."""
         return Box(
             max(0, self.x0 - margin_x),
@@ -37,7 +37,7 @@ class Box:
             min(height, self.y1 + margin_y),
         )
 
-    def within(self, outer: "Box") -> "Box":
+    def relative_to(self, outer: "Box") -> "Box":
         """The same box in the pixel coordinates of `outer`, which contains it."""
         return Box(self.x0 - outer.x0, self.y0 - outer.y0, self.x1 - outer.x0, self.y1 - outer.y0)
 
@@ -54,4 +54,4 @@ def mask_box(mask: NDArray[np.bool_], growth: float) -> Box | None:
     tight = Box(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
     margin_x, margin_y = (int(np.ceil(side * growth / 2)) for side in (tight.width, tight.height))
     height, width = mask.shape
-    return tight.grown(margin_x, margin_y, width, height)
+    return tight.grow(margin_x, margin_y, width, height)

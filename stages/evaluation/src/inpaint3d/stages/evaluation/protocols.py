@@ -12,7 +12,7 @@ from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.reprojection import warp_image
 from inpaint3d.stages.evaluation.baselines import (
-    interpolated_depth,
+    interpolate_depth,
     mean_colour,
     mean_surround,
     nearest_photo_warped,
@@ -56,7 +56,7 @@ class Bench:
     non_finite: dict[str, int] = field(default_factory=dict)
     renders: dict[tuple[str, str], Maps] = field(default_factory=dict)
 
-    def full_render(self, method: Method, photo: Photo) -> Maps:
+    def render_full_view(self, method: Method, photo: Photo) -> Maps:
         """The whole view, rendered once."""
         key = (method.label, photo.name)
         if key not in self.renders:
@@ -64,7 +64,7 @@ class Bench:
             self.tick(f"{method.label} in {photo.name}")
         return self.renders[key]
 
-    def usable(self, renders: dict[str, Maps], view: str) -> bool:
+    def check_finite(self, renders: dict[str, Maps], view: str) -> bool:
         """Count the non-finite values of a view's renders; a view that has any is left out for every method."""
         counts = {label: count_non_finite(maps) for label, maps in renders.items()}
         for label, count in counts.items():
@@ -84,17 +84,17 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         if tight is None or box is None:
             continue
         ring = ring_width(config, tight.width, tight.height)
-        outer = box.grown(ring, ring, photo.camera.width, photo.camera.height)
+        outer = box.grow(ring, ring, photo.camera.width, photo.camera.height)
         renders = {m.label: m.render(photo, config.block, outer) for m in bench.methods}
         bench.tick(f"crops of {photo.name}")
-        if not bench.usable(renders, photo.name):
+        if not bench.check_finite(renders, photo.name):
             continue
         pictures = {label: maps["rgb"] for label, maps in renders.items()}
         first = pictures[bench.methods[0].label]
         pictures[MEAN_SURROUND] = mean_surround(first, photo.hole[outer.slices], ring)
         truth, hole = photo.image[box.slices], photo.hole[box.slices]
         for label, picture in pictures.items():
-            crop = np.ascontiguousarray(picture[box.within(outer).slices])
+            crop = np.ascontiguousarray(picture[box.relative_to(outer).slices])
             crops.setdefault(label, []).append(crop)
             bench.scores.add(BOX, label, photo.name, compare_pictures(crop, truth, perceptual=config.perceptual))
             figures = {"psnr": psnr(crop, truth, hole)}
@@ -116,12 +116,12 @@ def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: 
     average = mean_colour(train)
     done = 0
     for photo in test:
-        renders = {m.label: bench.full_render(m, photo) for m in bench.methods}
-        if not photo.known.any() or not bench.usable(renders, photo.name):
+        renders = {m.label: bench.render_full_view(m, photo) for m in bench.methods}
+        if not photo.known.any() or not bench.check_finite(renders, photo.name):
             continue
         pictures = {label: maps["rgb"] for label, maps in renders.items()}
         pictures[MEAN_COLOUR] = np.broadcast_to(average, photo.image.shape)
-        depth = interpolated_depth(photo.camera, points)
+        depth = interpolate_depth(photo.camera, points)
         # without a sparse point in the view nothing can be warped: the baseline falls back to the mean colour
         pictures[WARPED] = (
             pictures[MEAN_COLOUR] if depth is None else nearest_photo_warped(photo.camera, depth, train, average)
@@ -153,8 +153,8 @@ def score_holes(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     done = 0
     for photo in photos:
         box = mask_box(photo.hole, 0.0)
-        renders = {m.label: bench.full_render(m, photo) for m in bench.methods}
-        if box is None or not bench.usable(renders, photo.name):
+        renders = {m.label: bench.render_full_view(m, photo) for m in bench.methods}
+        if box is None or not bench.check_finite(renders, photo.name):
             continue
         ring = ring_around(photo.hole, ring_width(bench.config, box.width, box.height)) & photo.known
         for label, maps in renders.items():
@@ -188,8 +188,8 @@ def score_neighbouring_views(bench: Bench, photos: list[Photo], others: list[Pho
         if not photo.hole.any() or not rest:
             continue
         neighbour = min(rest, key=lambda o: camera_distance(photo.camera, o.camera))
-        here, there = ({m.label: bench.full_render(m, p) for m in bench.methods} for p in (photo, neighbour))
-        if not (bench.usable(here, photo.name) and bench.usable(there, neighbour.name)):
+        here, there = ({m.label: bench.render_full_view(m, p) for m in bench.methods} for p in (photo, neighbour))
+        if not (bench.check_finite(here, photo.name) and bench.check_finite(there, neighbour.name)):
             continue
         for label, maps in here.items():
             beside = there[label]
@@ -200,7 +200,7 @@ def score_neighbouring_views(bench: Bench, photos: list[Photo], others: list[Pho
             bench.scores.add(CONSISTENCY, label, photo.name, figures)
         done += 1
     metrics = tuple(bench.scores.means(CONSISTENCY))
-    if not metrics:  # nowhere do two views agree on a surface
+    if not metrics:  # no surface is seen by two views: there is nothing to compare
         return []
     return [
         Protocol(
@@ -222,8 +222,8 @@ def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     done = 0
     for photo in photos:
         box = mask_box(photo.hole, bench.config.box_growth)
-        renders = {m.label: bench.full_render(m, photo) for m in alike.values()}
-        if not pairs or box is None or not bench.usable(renders, photo.name):
+        renders = {m.label: bench.render_full_view(m, photo) for m in alike.values()}
+        if not pairs or box is None or not bench.check_finite(renders, photo.name):
             continue
         crops = {label: np.ascontiguousarray(maps["rgb"][box.slices]) for label, maps in renders.items()}
         rows = {

@@ -3,16 +3,13 @@
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
-import jinja2
-
 from inpaint3d.contracts.models.artifacts import Protocol
-from inpaint3d.stages.evaluation.charts import Line, line_chart
+from inpaint3d.report.charts import Line, line_chart
+from inpaint3d.report.page import RUN_MARKER, render
 from inpaint3d.stages.evaluation.scores import KINDS, find_best
 
-RUN_MARKER = "<!-- inpaint3d:run -->"
 STOPS = (0.25, 0.5, 0.75)
 
 
@@ -49,17 +46,15 @@ class Report:
 
 def write_report(path: Path, report: Report) -> None:
     """Render the page; pictures are embedded, and one line marks where the run's times go."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(
-        resources.files("inpaint3d.stages.evaluation").joinpath("report.html.j2").read_text("utf-8")
-    )
-    page = template.render(
+    page = render(
+        "inpaint3d.stages.evaluation",
+        "report.html.j2",
         report=report,
         tables=[_table(p) for p in report.protocols],
-        chart=line_chart([Line(c.label, c.points) for c in report.curves], "training step", "held-out PSNR, dB"),
-        stops=STOPS,
+        chart=line_chart(
+            [Line(c.label, c.points) for c in report.curves], "training step", "held-out PSNR, dB", min_y_span=0.5
+        ),
+        stop_heads=["field", *(f"at {share:.0%} of the steps" for share in STOPS), "at the end"],
         stopping=[row for curve in report.curves if (row := cost_of_stopping_early(curve)) is not None],
         embedded=_embed,
         run_marker=RUN_MARKER,
@@ -102,8 +97,13 @@ def _table(protocol: Protocol) -> dict[str, object]:
             for n in names
         ]
         rows.append((method, cells))
-    heads = [(KINDS[n].title, KINDS[n].unit if KINDS[n].unit != "1" else "", KINDS[n].better) for n in names]
+    heads = ["method", *((KINDS[n].title, _describe_unit(n)) for n in names)]
     return {"name": protocol.name, "description": protocol.description, "heads": heads, "rows": rows}
+
+
+def _describe_unit(name: str) -> str:
+    unit = KINDS[name].unit
+    return f"{'' if unit == '1' else f'{unit}, '}{KINDS[name].better} is better"
 
 
 def _embed(file: Path) -> str:

@@ -163,7 +163,7 @@ def _strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[
     """One row of panels for each view: the photo with its mask, every field, the first field's depth, the truth."""
     strips = []
     for photo in photos:
-        renders = [bench.full_render(m, photo) for m in bench.methods]
+        renders = [bench.render_full_view(m, photo) for m in bench.methods]
         panels = [
             outline_hole(photo.image, photo.hole),
             *(r["rgb"] for r in renders),

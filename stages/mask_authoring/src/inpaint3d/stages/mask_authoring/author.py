@@ -37,7 +37,9 @@ Request = VolumeRequest | ObjectRequest | ScribbleRequest | ImportedRequest
 CLOSING = 0.01  # of the shorter side
 SPECKS = 0.02  # parts of an object's mask below this share of its largest are errors of depth
 HOLES = 0.05  # enclosed gaps up to this share of the mask are filled
-KEPT = 0.3  # of a pixel's neighbourhood: upsampled masks lean to too much, since a rim left over spoils a removal
+# Share of a pixel's neighbourhood that must be masked where a mask is enlarged. Under a half, since a rim of the object
+# that is left spoils its removal.
+KEPT = 0.3
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,9 +31,9 @@ Indices = NDArray[np.int64]
 
 CLOSING = 0.01  # of the shorter side: gaps that splatting leaves
 CORE = 0.008  # of the shorter side: how far depth may smear the object's outline
-NEAR_WITNESSES = 8  # views asked about a surface point on the way; more cost time and add nothing
-ALL_WITNESSES = 16  # views asked at the end, from near to far
-UNSEEN = 0.15  # of its size: how far from what is known of it, in space, more of the object is looked for
+NEAR_WITNESSES = 8  # views that vote on a surface point while masks are carried; more change nothing
+ALL_WITNESSES = 16  # views that vote when all masks are there, nearest first
+UNSEEN = 0.15  # of the object's size: more of it is looked for up to this far from its known surface
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,8 @@ def _refine(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, h
     core = shrink(shown, _pixels(CORE, shown)) & ~outside
     trimap = np.full(shown.shape, BACKGROUND, np.uint8)
     trimap[around & ~outside] = MAYBE_BACKGROUND
-    # Surface next to the object that nobody doubts may be its other side coming into sight; later views deny the rest.
+    # A surface next to the object that no view doubts may be its far side, seen for the first time. Where it is not,
+    # later views reject it.
     trimap[(shown | fresh) & ~outside] = MAYBE_OBJECT
     trimap[core] = OBJECT
     depth = view.depth_at(view.camera.pixel_centres())

@@ -30,7 +30,7 @@ def carve(
     centres, side = _grid(*bounds(_surface(views, masks), room=GROWTH), voxels)
     counts = np.zeros((len(centres), 3), np.int16)  # inside, outside, hidden
     for index in _spread(len(views)):
-        # Most of space is ruled out by the first few views: it need not be asked about again.
+        # The first few views rule out most voxels, which the other views then skip.
         alive = counts[:, 1] <= (1 - agreement) * len(views)
         centres, counts = centres[alive], counts[alive]
         _count(views[index], masks[index], centres, counts, tolerance)
@@ -62,7 +62,7 @@ def _surface(views: Sequence[DepthView], masks: Sequence[Bools]) -> Cloud:
     """What the views see under their masks; the masks' rims, where depth may be the background's, are left out."""
     rims = [max(1, round(RIM * min(m.shape))) for m in masks]
     inner = [shrink(m, rim) for m, rim in zip(masks, rims, strict=True)]
-    # A mask all rim (a thin thing) counts whole.
+    # A thin object's mask is rim everywhere: then the whole mask counts.
     cloud = join([lift(v, i if i.any() else m) for v, i, m in zip(views, inner, masks, strict=True)])
     if not len(cloud):
         raise BadInputError(

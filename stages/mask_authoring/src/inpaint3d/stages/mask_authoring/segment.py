@@ -22,7 +22,7 @@ SEED_RADIUS = 0.01  # of the shorter side: a point stands for a small disc
 # How far from the points the object may reach, as shares of the shorter side. Below, a mask is one texture patch;
 # above, GrabCut's colour models are mostly background.
 REACHES = (0.06, 0.1, 0.17, 0.28, 0.45)
-CUT_WEIGHT = 0.25  # against stability: enough to decide between two neighbours, which share their agreement
+CUT_WEIGHT = 0.25  # weight against stability: decides between two neighbouring candidates, whose stability is the same
 SMALLEST = 0.003  # of the picture
 DEPTH_RANGE = 0.35  # of the object's depth, to either side, is what its depth channel spans
 SURELY_OUT = 2.5  # reaches from the points beyond which nothing is the object
@@ -130,7 +130,7 @@ def _choose_stablest(masks: list[Bools], cut: list[float]) -> int:
     """
     steps = [iou(a, b) for a, b in pairwise(masks)]
     agreement = np.array([steps[0], *map(max, steps, steps[1:]), steps[-1]])
-    # A patch of texture is stable too: what is too small to be meant is passed over.
+    # A patch of texture is stable too: candidates too small to be the object that was meant are skipped.
     usable = np.array([m.mean() for m in masks]) >= SMALLEST
     return int(np.argmax(np.where(usable, agreement - CUT_WEIGHT * np.array(cut), -1.0)))
 

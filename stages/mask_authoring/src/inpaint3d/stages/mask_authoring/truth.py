@@ -30,7 +30,7 @@ def _depth(camera: Camera, neighbours: list[DepthView]) -> NDArray[np.float64]:
     """Depth z of the nearest surface that the neighbours see, at half their maps' size."""
     height, width = (max(1, side // COARSER) for side in neighbours[0].depth.shape)
     everything = [lift(v, np.ones((v.camera.height, v.camera.width), bool)) for v in neighbours]
-    return sparse_depth(camera.scaled(width, height), join(everything).points)
+    return sparse_depth(camera.resize_to(width, height), join(everything).points)
 
 
 def _no_picture() -> Image:

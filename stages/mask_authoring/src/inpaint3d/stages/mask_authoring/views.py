@@ -36,13 +36,13 @@ class DepthView:
     @property
     def depth_camera(self) -> Camera:
         height, width = self.depth.shape
-        return self.camera.scaled(width, height)
+        return self.camera.resize_to(width, height)
 
     def depth_at(self, xy: ArrayLike) -> Floats:
         """Depth [*n] at pixels `xy` [*n, 2] of the picture (nearest; those outside get the border's)."""
         height, width = self.depth.shape
         scaled = np.asarray(xy, np.float64) * (width / self.camera.width, height / self.camera.height)
-        # Anything may stand in for pixels of points on the camera's plane: callers drop them by z.
+        # Points on the camera's plane have no pixel: any value will do, since callers drop them by z.
         scaled = np.clip(np.where(np.isfinite(scaled), scaled, 0.0), 0, (width - 1, height - 1))
         return self.depth[scaled[..., 1].astype(np.int64), scaled[..., 0].astype(np.int64)]
 
@@ -52,7 +52,7 @@ class DepthView:
         def image() -> Image:
             return cv2.resize(self.image(), (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
 
-        return replace(self, camera=self.camera.scaled(width, height), image=image)
+        return replace(self, camera=self.camera.resize_to(width, height), image=image)
 
 
 def load_depth_views(

@@ -85,7 +85,7 @@ def one_step(
     if known.sight_lines and weights.line_of_sight:
         toward = known.sight_lines.draw(config.line_of_sight_rays, generator)
         rays = join_rays([rays, toward.rays])
-    # A background that nothing can imitate: what the photos show has to become opaque.
+    # Random background: a field that stays transparent cannot predict it, so that what the photos show becomes opaque.
     background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
     anneal = proposal_anneal(step, how.proposal_anneal_steps) if how.proposal_anneal_steps else 1.0
     rendering = render(

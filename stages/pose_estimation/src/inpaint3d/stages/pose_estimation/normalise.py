@@ -9,13 +9,13 @@ from inpaint3d.scene.geometry import Similarity, nearest_point_to_axes, rotation
 
 Floats = NDArray[np.float64]
 
-# How much the mean of the cameras' ups counts against the level of their right axes; it decides only where these
-# leave a direction open (all cameras looking one way).
+# Weight of the cameras' mean up vector against the rule that their right axes are level. Small: it decides only where
+# that rule leaves a direction open (all cameras look one way).
 MEAN_UP_WEIGHT = 0.005
 PLANE_TRIALS = 500
 PLANE_WITHIN_DEG = 20.0
 PLANE_SHARE = 0.15
-# Optical axes nearer to parallel than this meet nowhere that can be told.
+# Optical axes nearer to parallel than this have no reliable point where they meet.
 MIN_SPREAD_DEG = 4.0
 MARGIN = 1e-6
 

@@ -27,7 +27,7 @@ class Undistorter:
 
     def camera(self, world_from_cam: ArrayLike) -> Camera:
         """The pinhole camera of an undistorted view at a pose."""
-        small = self._full.scaled(self.width, self.height)
+        small = self._full.resize_to(self.width, self.height)
         return Camera(small.fx, small.fy, small.cx, small.cy, small.width, small.height, np.asarray(world_from_cam))
 
     def image(self, captured: Image) -> Image:
@@ -42,7 +42,7 @@ class Undistorter:
 
     def mask(self, captured: Mask) -> Mask:
         """A captured mask, undistorted and reduced by the nearest pixel."""
-        camera = self._full.scaled(self.width, self.height)
+        camera = self._full.resize_to(self.width, self.height)
         at = np.floor(self._distorted(camera, camera.pixel_centres())).astype(np.int64)
         at = at.reshape(self.height, self.width, 2)
         return captured[np.clip(at[..., 1], 0, self.lens.height - 1), np.clip(at[..., 0], 0, self.lens.width - 1)]
@@ -60,7 +60,7 @@ class Undistorter:
     def pixels(self, captured_xy: ArrayLike) -> Floats:
         """Captured pixels [n, 2] as pixels of the undistorted view."""
         captured_xy = np.ascontiguousarray(captured_xy, np.float64).reshape(-1, 2)
-        small = self._full.scaled(self.width, self.height)
+        small = self._full.resize_to(self.width, self.height)
         return np.asarray(self.lens.cam_from_img(captured_xy)) * (small.fx, small.fy) + (small.cx, small.cy)
 
     @property

@@ -12,7 +12,7 @@ from inpaint3d.stages.scene_analysis.config import Config
 from inpaint3d.stages.scene_analysis.lens import corner_displacement
 from inpaint3d.stages.scene_analysis.photometry import Observations, direction_effect, view_gains
 
-# Time of a training step with the effect over without, estimated from the operations that it adds.
+# Time of a training step with the effect, relative to one without: estimated from the operations that it adds.
 COST: dict[EffectName, float] = {
     "contraction": 1.02,
     "lens-distortion": 1.0,  # paid once, when frames are undistorted
@@ -94,7 +94,7 @@ def view_dependence(
     excess = float(np.sqrt(max(far**2 - near**2, 0.0)))
     evidence = {"near_ev": near, "far_ev": far, "excess_ev": excess, "far_pairs": float(pairs)}
     if pairs < MIN_FAR_PAIRS:
-        # Not seen is not absent: a reflection that no pair of views shows costs nothing but time.
+        # With too few pairs of views reflections may be there unseen: modelling one that is not there only costs time.
         reason = f"only {pairs} pairs of far apart views of one point tell of it, so that it cannot be ruled out"
         return _effect("view-dependence", True, evidence, reason, config)
     wanted = excess > config.view_dependence_ev

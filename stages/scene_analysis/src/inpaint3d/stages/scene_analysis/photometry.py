@@ -22,7 +22,8 @@ MAX_POINTS = 4000
 ROUNDS = 12
 HUBER_EV = 0.15  # residuals beyond this are outliers rather than noise
 NEAR_DEG, FAR_DEG = 6.0, 15.0
-# Of the pairs. Above it, points at outlines, where another surface comes in between, differ more the further apart too.
+# Quantile of the pairs. A higher one would measure points at outlines: there another surface comes in between, the more
+# often the further apart the views are.
 QUANTILE = 0.8
 PAIRS = 200_000
 

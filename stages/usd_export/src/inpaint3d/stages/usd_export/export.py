@@ -48,7 +48,7 @@ def make_content(name: str, views: Sequence[SurfaceView], box: Box, folder: Path
             "fog: train it longer"
         )
     chosen, weight = atlas.best_views(mesh, views, config.texture_views, config.truncation_cells * cell)
-    # What no view shows has no colour, and is mostly the ragged border of what was seen.
+    # Triangles that no view shows have no colour to give them; most are the ragged border of the surface.
     shown = weight[:, 0] > 0
     mesh = compact(mesh.vertices, mesh.triangles[shown])
     plan = atlas.layout(len(mesh.triangles), config.texture_size)

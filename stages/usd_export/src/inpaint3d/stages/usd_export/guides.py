@@ -35,7 +35,7 @@ def visual_hull(
         inside += mask[row, column] & looked
         seen += looked
     share = np.where(seen >= 2, inside / np.maximum(seen, 1), 0.0)
-    # The hull is closed: the outermost layer is outside by decree.
+    # Voxels at the border of the grid count as outside, so that the hull is a closed surface.
     share = np.pad(share, 1)
     distance = (AGREEMENT - share - 1e-6).astype(np.float32)
     return extract(Volume(low - cell, cell, distance, np.ones_like(distance)))

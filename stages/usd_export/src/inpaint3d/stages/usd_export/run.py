@@ -97,5 +97,5 @@ def _mask_volume(masks: Artifact[MaskSet], names: list[str], cameras: list[Camer
             f"mask-set has no mask for view {missing[0]} ({len(missing)} in all); re-run mask-authoring"
         )
     drawn = [read_mask(masks.path(files[name])) for name in names]
-    scaled = [camera.scaled(mask.shape[1], mask.shape[0]) for camera, mask in zip(cameras, drawn, strict=True)]
+    scaled = [camera.resize_to(mask.shape[1], mask.shape[0]) for camera, mask in zip(cameras, drawn, strict=True)]
     return MaskVolume((), scaled, drawn)

@@ -49,7 +49,7 @@ def surface_view(
     # A pixel that is not finite has no surface and no colour, and is never read again.
     colour = np.where(surface[..., None], rgb, 0).astype(np.float32)
     height, width = depth.shape
-    return SurfaceView(camera.scaled(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
+    return SurfaceView(camera.resize_to(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
 
 
 def bounds_of(views: Sequence[SurfaceView], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -74,7 +74,7 @@ def _stored(
     maps = read_exr(field.path(view.maps))
     depth, opacity = maps["median.Z"], maps["opacity.A"]
     rgb = read_image(field.path(view.picture))
-    # A stored render of other proportions is of a part of the view, and its camera is not known.
+    # Stored renders of other proportions show a part of the view, by a camera that is not stored: they cannot be used.
     same_shape = abs(depth.shape[1] / depth.shape[0] - camera.width / camera.height) < 0.05
     if max(depth.shape) < longest_side or not same_shape or rgb.shape[:2] != depth.shape:
         return None

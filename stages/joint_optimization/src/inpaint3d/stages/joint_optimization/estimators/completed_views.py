@@ -97,7 +97,7 @@ def load_filled(completed: "Artifact[CompletedViews]", setting: Setting) -> "Fil
         if one.depth is not None:
             depth = read_exr(completed.path(one.depth))["depth.Z"]
             h, w = depth.shape
-            surfaces.append((view.camera.scaled(w, h), depth, pool_any(views[-1].hole, h, w)))
+            surfaces.append((view.camera.resize_to(w, h), depth, pool_any(views[-1].hole, h, w)))
     return Filled(views, SightLines.of_surfaces(surfaces, setting.device) if surfaces else None)
 
 
