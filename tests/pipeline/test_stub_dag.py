@@ -46,16 +46,16 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     assert "nothing to be done" in again.stderr
     assert set(cli.statuses().values()) == {"cached", "left-out"}
 
-    changed = cli(*arguments, "--set", "joint-optimization.guidance=2")
+    changed = cli(*arguments, "--set", "joint-optimization.estimator.weight=2")
     assert changed.returncode == 0, changed.stderr
     states = cli.statuses()
     assert states["joint-optimization"] == "done"
     behind = {"joint-optimization", *PIPELINE.downstream("joint-optimization")}
-    # Stubs ignore guidance, so what they write is the same and the cut-off is early: nothing behind runs again.
+    # Stubs ignore weights, so what they write is the same and the cut-off is early: nothing behind runs again.
     assert all(states[n] == "cached" for n in DEFAULT.pipeline.order if n not in behind)
     assert states["evaluation"] == "cached"
     why = cli("why", "tiny", "joint-optimization").stdout
-    assert "parameters.guidance" in why
+    assert "parameters.estimator.weight" in why
     assert "-> 2" in why
 
 
@@ -68,7 +68,7 @@ def test_a_preset_may_have_nodes_of_its_own(ran):
     assert states["diffusion-training"] == states["continued-reconstruction"] == "left-out"
     (record,) = (cli.store / "runs" / "varied").glob("*.json")
     evaluation = next(n for n in json.loads(record.read_text())["nodes"] if n["node"] == "evaluation")
-    assert len(evaluation["components"]["inputs"]["radiance-fields"]) == 4
+    assert len(evaluation["components"]["inputs"]["radiance-fields"]) == 3
 
 
 def test_one_stage_can_have_a_seed_of_its_own(ran):
@@ -92,10 +92,10 @@ def test_two_runs_are_compared_by_what_they_made(ran):
 
 def test_plan_gives_reasons_without_running(ran):
     cli, arguments = ran
-    rows = json.loads(cli("plan", *arguments[1:], "--set", "joint-optimization.guidance=2", "--json").stdout)
+    rows = json.loads(cli("plan", *arguments[1:], "--set", "joint-optimization.estimator.weight=2", "--json").stdout)
     planned = {r["node"]: r for r in rows}
     assert planned["joint-optimization"]["status"] == "pending"
-    assert [c["component"] for c in planned["joint-optimization"]["changes"]] == ["parameters.guidance"]
+    assert [c["component"] for c in planned["joint-optimization"]["changes"]] == ["parameters.estimator.weight"]
     assert planned["nerf-pretraining"]["status"] == "cached"
     assert planned["evaluation"]["reason"] == "after joint-optimization"
     assert len(json.loads(cli("runs", "--json").stdout)) == 1
@@ -247,7 +247,13 @@ def test_parameter_schemas_are_json_schemas(node):
 def test_wrong_parameters_are_named(cli, capture):
     for assignment, says in (
         ("usd-export.gird=2", "usd-export has no parameter gird; did you mean grid?"),
-        ("joint-optimisation.guidance=2", "no stage joint-optimisation"),
+        ("joint-optimisation.steps=2", "no stage joint-optimisation"),
+        ("joint-optimization.guidance=2", "it is joint-optimization.estimator.guidance (dataset-update"),
+        (
+            "joint-optimization.estimator.guidance=2",
+            "estimator completed-views has no parameter guidance; dataset-update",
+        ),
+        ("joint-optimization.estimator=reference", "reference"),
         ("usd-export.grid=lots", "usd-export.grid: 'lots' is not of type 'integer'"),
         ("joint-optimization.ranks=3", "joint-optimization: rays 512 do not share out over 3 ranks"),
         ("continued-reconstruction.steps=1", "changes nothing: continued-reconstruction is left out (a control"),
@@ -273,7 +279,10 @@ def test_what_is_given_and_nothing_reads_is_refused(cli, capture, option):
 
 def test_what_is_left_out_is_said_and_runs_when_it_is_asked_for(ran):
     cli, arguments = ran
-    reason = "nothing asks for it: joint-optimization's estimator reference does not read diffusion-prior"
+    reason = (
+        "nothing asks for it: view-completion's method photo-completion does not read diffusion-prior; "
+        "joint-optimization's estimator completed-views does not read diffusion-prior"
+    )
     folder = cli.runs / "tiny"
     stages = {s["node"]: s for s in json.loads((folder / "metrics.json").read_text())["stages"]}
     assert stages["diffusion-training"]["reason"] == reason
