@@ -220,7 +220,8 @@ def test_a_place_that_is_not_finite_is_refused_with_its_frame(tmp_path, where, v
 @pytest.mark.parametrize(
     "wrong",
     [{"fl_x": 0}, {"fl_x": -30}, {"fl_y": -1}, {"w": 0}, {"w": -32}, {"h": -24}, {"fl_x": float("nan")},
-     {"cx": float("inf")}, {"w": 24}, {"camera_angle_x": 0, "fl_x": None}, {"transform_matrix": [[1, 2]]}, {"cx": "left"}],
+     {"cx": float("inf")}, {"w": 24}, {"camera_angle_x": 0, "fl_x": None}, {"transform_matrix": [[1, 2]]},
+     {"cx": "left"}],
 )  # fmt: skip
 def test_a_lens_that_cannot_be_is_refused_with_its_frame(tmp_path, wrong):
     write_pictures(tmp_path, NAMES)

@@ -52,7 +52,6 @@ def read_header(path: Path) -> Header:
     """Size, depth and EXIF; BadInputError for a file that is no picture."""
     spec = _open(path).spec()
     pixel = oiio.TypeDesc(spec.format)
-    exif = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, (int, float, str))}
     return Header(
         width=spec.width,
         height=spec.height,
@@ -61,7 +60,7 @@ def read_header(path: Path) -> Header:
         is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
         orientation=int(spec.get_int_attribute("Orientation", 1)),
         format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
-        exif=exif,
+        exif=_attributes(spec),
         profile=_profile(spec, path),
     )
 
@@ -210,6 +209,26 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
+def _attributes(spec: oiio.ImageSpec) -> dict[str, int | float | str]:
+    """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
+    found: dict[str, int | float | str] = {}
+    for attribute in spec.extra_attribs:
+        try:
+            name, value = attribute.name, attribute.value
+        except UnicodeDecodeError:
+            continue
+        if isinstance(value, (int, float, str)):
+            found[name] = value
+    return found
+
+
+def _text(spec: oiio.ImageSpec, name: str) -> str:
+    try:
+        return str(spec.get_string_attribute(name, ""))
+    except UnicodeDecodeError:
+        return ""
+
+
 def _check_size(spec: oiio.ImageSpec, path: Path) -> None:
     """From the header alone: what a file claims is allocated before its first pixel is seen."""
     width, height, depth, channels = spec.width, spec.height, spec.depth, spec.nchannels
@@ -275,14 +294,17 @@ def _cut_short(path: Path) -> bool:
 
 
 def _is_linear(spec: oiio.ImageSpec) -> bool:
-    space = str(spec.get_string_attribute("oiio:ColorSpace", "")).lower()
+    space = _text(spec, "oiio:ColorSpace").lower()
     if space:
         return space.startswith(("lin", "scene_linear", "acescg"))
     return oiio.TypeDesc(spec.format).basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE)
 
 
 def _reason(buffer: oiio.ImageBuf) -> str:
-    text = buffer.geterror().strip().splitlines()
+    try:
+        text = buffer.geterror().strip().splitlines()
+    except UnicodeDecodeError:  # it quotes the file's bytes
+        return "damaged header"
     return text[0] if text else "unknown format"
 
 

@@ -19,6 +19,7 @@ from inpaint3d.stages.capture_ingest.found import (
 )
 from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera
 
+MAX_QUATERNION = 1e100  # its square can still be told from infinity, and that of its inverse from 0
 PICTURE_FOLDERS = ("images", "")
 
 
@@ -74,11 +75,12 @@ def _frames(
 
 
 def _known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
-    length = float(np.linalg.norm(image.quaternion))
-    if not np.isfinite(length) or length == 0:
+    largest = max(map(abs, image.quaternion))
+    if not 1 / MAX_QUATERNION < largest < MAX_QUATERNION or not np.isfinite(image.quaternion).all():
         raise BadInputError(f"{where}: {image.name} has the quaternion {list(image.quaternion)}; export it again")
     rotation = quaternion_matrix(image.quaternion)  # camera from world
-    centre = -rotation.T @ np.array(image.translation)
+    with np.errstate(all="ignore"):  # what is not finite is refused with the pose
+        centre = -rotation.T @ np.array(image.translation)
     lens = StatedLens(camera.model, camera.params, (camera.width, camera.height))
     return fit_camera(path, lens, np.concatenate([rotation.T, centre[:, None]], 1), where)
 

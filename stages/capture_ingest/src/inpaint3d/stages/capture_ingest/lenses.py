@@ -96,8 +96,10 @@ def _check_lens(lens: StatedLens) -> None:
     check_model(lens.model)
     if len(lens.params) != PARAMETERS[lens.model]:
         raise ValueError(f"has {len(lens.params)} parameters, but {lens.model} has {PARAMETERS[lens.model]}")
-    if not np.isfinite([*lens.params, *lens.size]).all():
-        raise ValueError(f"is not finite: {lens.model} {list(lens.params)} for {lens.size[0]}x{lens.size[1]}")
+    if max(map(abs, lens.size)) > 2**32 or not np.isfinite([*lens.params, *lens.size]).all():
+        raise ValueError(
+            f"is not finite, or beyond any picture: {lens.model} {list(lens.params)} for {lens.size[0]}x{lens.size[1]}"
+        )
     if min(lens.size) < 1:
         raise ValueError(f"is for a picture of {lens.size[0]:g}x{lens.size[1]:g} pixels")
     focal = lens.params[:1] if lens.model in SINGLE_FOCAL else lens.params[:2]

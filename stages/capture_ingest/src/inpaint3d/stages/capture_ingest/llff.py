@@ -1,5 +1,7 @@
 """LLFF: poses_bounds.npy, a row of 17 numbers for each picture: 3x5 pose with [height, width, focal], near, far."""
 
+import tokenize
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -38,13 +40,14 @@ def describe_order(pictures: list[Path]) -> list[str]:
 def _read_rows(path: Path) -> np.ndarray:
     try:
         # Mapped, a header that claims more than the file holds is refused; read, it would be allocated.
-        rows = np.load(path, allow_pickle=False, mmap_mode="r")
+        with warnings.catch_warnings(action="ignore"):  # headers that Python 2 wrote
+            rows = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(rows, np.ndarray) or rows.dtype.kind not in "fiu":
             raise ValueError("no array of numbers")
         if rows.ndim != 2 or rows.shape[1] != 17:
             raise ValueError(f"{list(rows.shape)}, not [pictures, 17]")
         return np.array(rows, np.float64)
-    except (ValueError, OSError, EOFError, OverflowError, TypeError, SyntaxError) as error:
+    except (ValueError, OSError, EOFError, OverflowError, TypeError, SyntaxError, tokenize.TokenError) as error:
         raise BadInputError(f"{FILE} cannot be read ({error}); export it again") from error
 
 
