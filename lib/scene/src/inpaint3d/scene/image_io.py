@@ -278,8 +278,9 @@ def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "
     if not buffer.read(force=True, convert=kind) or buffer.has_error:
         raise BadInputError(f"{path} is damaged ({_reason(buffer)}); copy it again or remove it")
     upright = buffer if buffer.orientation == 1 else oiio.ImageBufAlgo.reorient(buffer)
-    pixels = upright.get_pixels(kind)
-    if upright.has_error or pixels is None:
+    # Where a buffer could not be turned, asking for its pixels trips an assertion of OpenImageIO.
+    pixels = upright.get_pixels(kind) if upright.initialized and not upright.has_error else None
+    if pixels is None:
         raise BadInputError(f"{path} is damaged ({_reason(upright)}); copy it again or remove it")
     return pixels.reshape(upright.spec().height, upright.spec().width, -1)
 

@@ -16,7 +16,7 @@ _RAW = "develop to 16-bit TIFF or JPEG with darktable-cli or RawTherapee"
 # Pictures that need another program first: suffix -> what to do.
 UNREADABLE_SUFFIXES = {
     **dict.fromkeys([".heic", ".heif"], "convert to JPEG with `heif-convert -q 95` (libheif)"),
-    ".avif": "convert to PNG with `avifdec` (libavif)",
+    ".avif": "convert to PNG with avifdec (libavif)",
     **dict.fromkeys([".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef"], _RAW),
 }
 
