@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock test test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint clean
+.PHONY: demo docs lock test test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint fuzz-captures clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -87,6 +87,9 @@ bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal si
 
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
+
+fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
+	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs

@@ -12,6 +12,7 @@ from inpaint3d.scene.capture_io import (
     load_posed,
     read_captured_image,
     read_captured_mask,
+    read_captured_valid,
     write_points,
     write_view,
 )
@@ -95,3 +96,21 @@ def test_captured_frames_and_masks_are_read(tmp_path):
     assert read_captured_mask(folder, frame.model_copy(update={"mask": None})) is None
     with pytest.raises(BadInputError, match="its image is 48x18"):
         read_captured_mask(folder, frame.model_copy(update={"width": 48}))
+
+
+def test_what_is_transparent_in_a_captured_frame_is_not_valid(tmp_path):
+    alpha = np.full((18, 24, 1), 255, np.uint8)
+    alpha[:, :5] = 0
+    codes = (255 * SCENE.images[0]).astype(np.uint8)
+    write_png(tmp_path / "frames/a.png", np.concatenate([codes, alpha], -1))
+    write_png(tmp_path / "frames/b.png", codes)
+    a, b = (CapturedFrame(name=n, path=f"frames/{n}.png", width=24, height=18) for n in "ab")
+    folder = Folder(Capture(layout="photos", ordered=True, frames=(a, b)), tmp_path)
+    np.testing.assert_array_equal(read_captured_valid(folder, a), alpha[..., 0] > 0)
+    assert read_captured_valid(folder, b) is None
+
+
+def test_a_capture_with_one_name_for_two_frames_is_refused():
+    frame = CapturedFrame(name="a", path="frames/a.png", width=24, height=18)
+    with pytest.raises(ValueError, match="1 names are of several frames: a"):
+        Capture(layout="photos", ordered=True, frames=(frame, frame))

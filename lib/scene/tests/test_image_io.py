@@ -1,3 +1,5 @@
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -5,13 +7,16 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES, UNREADABLE_SUFFIXES
 from inpaint3d.scene.colour import from_bytes, srgb_from_linear
 from inpaint3d.scene.image_io import (
     read_exr,
     read_header,
     read_image,
     read_mask,
+    read_opaque,
     read_stored,
+    turn_upright,
     write_exr,
     write_mask,
     write_png,
@@ -158,3 +163,72 @@ def test_no_picture_and_no_file_are_named(tmp_path):
         read_image(tmp_path / "a.jpg")
     with pytest.raises(BadInputError, match=r"none\.png does not exist"):
         read_header(tmp_path / "none.png")
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16"])
+def test_of_the_codes_0_and_1_the_1_is_inside(tmp_path, kind):
+    mask = IMAGE[..., 0] > 0.6
+    top = 255 if kind == "uint8" else 65535
+    path = write(tmp_path / "m.png", mask / top, kind)
+    np.testing.assert_array_equal(read_mask(path), mask)
+
+
+@pytest.mark.parametrize("code", [2, 3, 127])
+def test_a_mask_with_dark_codes_alone_is_refused_by_name(tmp_path, code):
+    write_png(tmp_path / "m.png", np.full((4, 4), code, np.uint8))
+    with pytest.raises(BadInputError, match=rf"m\.png holds no value above {code} of 255"):
+        read_mask(tmp_path / "m.png")
+
+
+def test_a_black_mask_is_empty(tmp_path):
+    write_png(tmp_path / "m.png", np.zeros((4, 4), np.uint8))
+    assert not read_mask(tmp_path / "m.png").any()
+
+
+def test_alpha_says_where_a_picture_is_opaque(tmp_path):
+    alpha = np.array([[0, 127, 128, 255]], np.uint8)
+    write_png(tmp_path / "a.png", np.concatenate([np.full((1, 4, 3), 9, np.uint8), alpha[..., None]], -1))
+    np.testing.assert_array_equal(read_opaque(tmp_path / "a.png"), [[False, False, True, True]])
+    write_png(tmp_path / "b.png", IMAGE)
+    assert read_opaque(tmp_path / "b.png") is None
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_an_array_is_turned_as_its_picture(tmp_path, orientation):
+    pixels = np.zeros((16, 24, 3), np.float32)
+    pixels[:8, :8] = 1
+    path = write(tmp_path / "a.tif", pixels, "uint8", Orientation=orientation)
+    np.testing.assert_array_equal(turn_upright(pixels, orientation), read_image(path))
+
+
+def png_of_zeros(width: int, height: int) -> bytes:
+    """A valid start of a grey PNG whose rows take a thousandth of their size."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    row = bytes(1 + width)
+    block = packer.compress(row * 16) + packer.flush(zlib.Z_FULL_FLUSH)
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", block * (height // 16)) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(("width", "height"), [(40000, 40000), (34000, 33000), (64000, 17000)])
+def test_a_picture_too_large_to_decode_is_refused_by_its_header(tmp_path, width, height):
+    (tmp_path / "bomb.png").write_bytes(png_of_zeros(width, height))
+    for read in (read_header, read_image, read_mask):
+        with pytest.raises(BadInputError, match=rf"bomb\.png says that it is {width}x{height}.*MiB decoded, more than"):
+            read(tmp_path / "bomb.png")
+
+
+def test_the_suffixes_are_those_that_the_build_reads(tmp_path):
+    formats = set(oiio.get_string_attribute("input_format_list").split(","))
+    by_format = dict(entry.split(":") for entry in oiio.get_string_attribute("extension_list").split(";"))
+    readable = {f".{suffix}" for name in formats & set(by_format) for suffix in by_format[name].split(",")}
+    assert readable >= PICTURE_SUFFIXES
+    assert not readable & set(UNREADABLE_SUFFIXES)
+    image = np.full((64, 80, 3), 0.3, np.float32)
+    for suffix in sorted(PICTURE_SUFFIXES):
+        written = write(tmp_path / f"a{suffix}", image, "float" if suffix in (".exr", ".hdr") else "uint8")
+        assert read_image(written).shape == image.shape

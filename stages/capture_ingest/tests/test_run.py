@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.kit.context import Context
 from inpaint3d.scene.image_io import read_header, read_image, write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
+from inpaint3d.stages.capture_ingest.carry import carry, fit_mask, read_exif
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
-from inpaint3d.stages.capture_ingest.run import _carry, detect, find, fit_mask, read_exif
+from inpaint3d.stages.capture_ingest.layouts import detect, find
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -67,7 +67,7 @@ def test_nerfstudio(tmp_path):
     assert_cameras(found)
     assert found.frames[0].camera.model == "OPENCV"
     assert found.frames[0].camera.params[4] == 0.01
-    assert "5 frames, 1 of them" in found.notes[0]
+    assert "5 frames, 1 of them" in found.notes[1]
 
 
 def llff_rows(cameras) -> np.ndarray:
@@ -120,7 +120,7 @@ def test_realestate10k(tmp_path):
     assert detect(root) == "realestate10k"
     found = found_in(root, tmp_path, realestate10k_frames=3, realestate10k_rows=18)
     assert [f.name for f in found.frames] == ["0", "1000", "2000"]
-    assert "first 3 frames, 1 more" in found.notes[0]
+    assert "first 3 frames, 1 more" in found.notes[1]
     for frame, camera in zip(found.frames, SCENE.cameras, strict=False):
         assert read_header(frame.image).upright_size == (24, 18)
         assert frame.camera.params == pytest.approx((camera.fx * 0.75, camera.fy * 0.75, 12, 9))
@@ -139,6 +139,7 @@ def test_the_first_forty_files_of_spin_nerf_are_the_truth(tmp_path):
     pictures(tmp_path / "images_4", names, [SCENE.images[0]] * 44)
     for name in names:  # what the files are called by their suffix does not matter
         (tmp_path / "images_4" / f"{name}.png").rename(tmp_path / "images_4" / f"{name}.JPG")
+    (tmp_path / "images_4" / "label").mkdir()
     np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras * 11))
     found = found_in(tmp_path, tmp_path)
     assert [f.name for f in found.truth] == names[:40]
@@ -195,9 +196,13 @@ def test_video_takes_the_sharpest_of_each_stretch(tmp_path):
 
 def test_mask_of_half_the_size_is_resampled_and_another_aspect_refused(tmp_path):
     write_mask(tmp_path / "m.png", SCENE.object_masks[0])
-    assert fit_mask(tmp_path / "m.png", 64, 48).mean() == pytest.approx(SCENE.object_masks[0].mean())
-    with pytest.raises(BadInputError, match=r"m\.png is 32x24 but its picture is 32x32"):
-        fit_mask(tmp_path / "m.png", 32, 32)
+    write_png(tmp_path / "p.png", np.zeros((48, 64, 3), np.uint8))
+    write_png(tmp_path / "square.png", np.zeros((32, 32, 3), np.uint8))
+    assert fit_mask(tmp_path / "m.png", read_header(tmp_path / "p.png")).mean() == pytest.approx(
+        SCENE.object_masks[0].mean()
+    )
+    with pytest.raises(BadInputError, match=r"m\.png is for 32x24 but the picture is 32x32"):
+        fit_mask(tmp_path / "m.png", read_header(tmp_path / "square.png"))
 
 
 def test_mask_without_a_picture_and_twin_names(tmp_path):
@@ -242,12 +247,11 @@ def test_any_depth_and_any_way_up_become_upright_eight_bit_frames_of_their_own_s
         out.close()
         return FoundFrame(Path(name).stem, tmp_path / name)
 
-    ctx = Context(seed=0, device="cpu", threads=1, work=tmp_path, emit=lambda *_, **__: None)
     found = [
         stored("plain.jpg", "uint8"), stored("turned.jpg", "uint8", Orientation=6), stored("deep.tif", "uint16"),
         stored("light.exr", "float"),
     ]  # fmt: skip
-    plain, turned, deep, light = (_carry(f, tmp_path / "out", 0, 10, ctx) for f in found)
+    plain, turned, deep, light = (carry(f, tmp_path / "out").frame for f in found)
     assert [f.path for f in (plain, turned, deep, light)] == [
         "frames/plain.jpg", "frames/turned.png", "frames/deep.png", "frames/light.png",
     ]  # fmt: skip

@@ -14,6 +14,7 @@ from inpaint3d.contracts.models.manifest import Manifest, describe_file, schema_
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import Store, load_manifest
 from inpaint3d.orchestrator.diffusers_pipeline import find_pipeline_folder, list_pipeline_files, read_kind
+from inpaint3d.orchestrator.source_files import list_source_files
 
 MASK_REQUEST, PRIOR, CORPUS, DIFFUSERS = "mask-request", "pretrained-prior", "image-corpus", "diffusers-pipeline"
 MANY_VIEWS = 5
@@ -26,12 +27,7 @@ def take_capture(store: Store, path: Path) -> Digest:
     metadata = Source(name=path.resolve().name, kind="folder" if path.is_dir() else "file")
     if not path.is_dir():
         return _take_files(store, "source", metadata, path.parent, [path], "raw")
-    visible = [
-        p
-        for p in sorted(path.rglob("*"))
-        if p.is_file() and not any(part.startswith(".") for part in p.relative_to(path).parts)
-    ]
-    return _take_files(store, "source", metadata, path, visible, "raw")
+    return _take_files(store, "source", metadata, path, list_source_files(path), "raw")
 
 
 def take_pipeline(store: Store, folder: Path) -> Digest:

@@ -11,7 +11,7 @@ from safetensors.numpy import load_file, save_file
 from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, write_mask, write_png
+from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, read_opaque, write_mask, write_png
 
 
 class PosedFolder(Protocol):
@@ -190,3 +190,8 @@ def read_captured_mask(artifact: CaptureFolder, frame: CapturedFrame) -> Mask | 
     if frame.mask is None:
         return None
     return read_mask(artifact.root / frame.mask, (frame.width, frame.height))
+
+
+def read_captured_valid(artifact: CaptureFolder, frame: CapturedFrame) -> Mask | None:
+    """Where a captured frame shows the scene, bool [h, w]: its alpha channel; None where all of it does."""
+    return read_opaque(artifact.root / frame.path)

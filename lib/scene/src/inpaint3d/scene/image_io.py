@@ -12,36 +12,18 @@ import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.contracts.errors import BadInputError, StorageError
+from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES as PICTURE_SUFFIXES
 from inpaint3d.scene.colour import from_bytes, srgb_from_linear, to_bytes
+from inpaint3d.scene.icc import ColourProfile, read_profile
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# What OpenImageIO reads and photographers deliver.
-PICTURE_SUFFIXES = frozenset(
-    [
-        ".jpg",
-        ".jpeg",
-        ".png",
-        ".tif",
-        ".tiff",
-        ".exr",
-        ".hdr",
-        ".webp",
-        ".bmp",
-        ".heic",
-        ".heif",
-        ".avif",
-        ".jp2",
-        ".dng",
-        ".cr2",
-        ".nef",
-        ".arw",
-        ".ppm",
-    ]
-)
-
+# Decoded bytes of one picture: 89 megapixels of float colour, 358 of 8-bit. A small file can claim any size.
+MAX_DECODED_BYTES = 2**30
+ROWS_AT_ONCE = 256  # while colours are converted in float64
 MAX_CODE = 2**16 - 1
+MIDDLE = 127.5 / 255
 # Time stamps and host names would make equal pictures differ.
 _UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
 
@@ -58,6 +40,7 @@ class Header:
     orientation: int
     format: str
     exif: dict[str, int | float | str]
+    profile: ColourProfile | None = None  # None: its codes are sRGB, or linear light
 
     @property
     def upright_size(self) -> tuple[int, int]:
@@ -69,7 +52,6 @@ def read_header(path: Path) -> Header:
     """Size, depth and EXIF; BadInputError for a file that is no picture."""
     spec = _open(path).spec()
     pixel = oiio.TypeDesc(spec.format)
-    exif = {a.name: a.value for a in spec.extra_attribs if isinstance(a.value, (int, float, str))}
     return Header(
         width=spec.width,
         height=spec.height,
@@ -78,15 +60,17 @@ def read_header(path: Path) -> Header:
         is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
         orientation=int(spec.get_int_attribute("Orientation", 1)),
         format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
-        exif=exif,
+        exif=_attributes(spec),
+        profile=_profile(spec, path),
     )
 
 
 def read_image(path: Path) -> Image:
     """Any picture that OpenImageIO reads, as sRGB-encoded float32 [h, w, 3] in [0, 1], upright.
 
-    Float files hold linear light unless they say otherwise, and are encoded; grey is repeated; alpha is dropped.
-    BadInputError for a file that is damaged, cut short or not finite.
+    Float files hold linear light unless they say otherwise, and are encoded; an embedded colour profile is applied;
+    grey is repeated; alpha is dropped (`read_opaque` reads it).
+    BadInputError for a file that is damaged, cut short, not finite, or too large to decode.
     """
     stored = read_stored(path)
     return from_bytes(stored) if stored.dtype == np.uint8 else stored.astype(np.float32, copy=False)
@@ -99,8 +83,11 @@ def read_stored(path: Path) -> Image | NDArray[np.uint8]:
     """
     buffer = _open(path)
     linear = _is_linear(buffer.spec())  # before reading, which changes the buffer's format
+    profile = None if linear else _profile(buffer.spec(), path)
     eight_bits = buffer.spec().format == oiio.TypeUInt8 and not linear
     pixels = _pixels(buffer, path, "uint8" if eight_bits else "float")
+    if profile is not None:
+        pixels = _in_srgb(profile, pixels)
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)
     if eight_bits:
         return np.ascontiguousarray(colour)
@@ -110,9 +97,22 @@ def read_stored(path: Path) -> Image | NDArray[np.uint8]:
     return np.ascontiguousarray(srgb_from_linear(colour) if linear else np.clip(colour, 0, 1), np.float32)
 
 
+def read_opaque(path: Path) -> Mask | None:
+    """Where a picture with an alpha channel is opaque by more than half, bool [h, w], upright; None without one."""
+    buffer = _open(path)
+    alpha = buffer.spec().alpha_channel
+    return None if alpha < 0 else _pixels(buffer, path)[..., alpha] > MIDDLE
+
+
 def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
-    """A mask as bool [h, w]: above the middle of its range is inside. `size` = (width, height) checks the shape."""
-    pixels = _pixels(_open(path), path)
+    """A mask as bool [h, w]: above the middle of its range is inside, and so is 1 of the codes 0 and 1.
+
+    `size` = (width, height) checks the shape. BadInputError where nothing but a few dark codes is set: which of them
+    mean the inside cannot be told.
+    """
+    buffer = _open(path)
+    step = _code_step(buffer.spec())  # before reading, which changes the buffer's format
+    pixels = _pixels(buffer, path)
     # Transparent cut-outs (white everywhere, shape in alpha) are masks too.
     grey = pixels[..., :3].max(-1)
     if pixels.shape[2] in (2, 4) and np.ptp(grey) == 0:
@@ -122,7 +122,23 @@ def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
             f"mask {path} is {grey.shape[1]}x{grey.shape[0]} but its image is {size[0]}x{size[1]}; "
             "make the mask again on this image"
         )
-    return grey > 127.5 / 255
+    top = float(grey.max(initial=0.0))
+    if step and 0 < top <= MIDDLE:
+        if round(top / step) == 1:
+            return grey > 0
+        raise BadInputError(
+            f"mask {path} holds no value above {round(top / step)} of {round(1 / step)}; "
+            "save the inside of the hole as white"
+        )
+    return grey > MIDDLE
+
+
+def turn_upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Stored pixels [h, w, ...] as EXIF orientation 1 to 8 has them shown."""
+    turned = pixels.swapaxes(0, 1) if orientation >= 5 else pixels
+    if orientation in (3, 4, 7, 8):
+        turned = turned[::-1]
+    return np.ascontiguousarray(turned[:, ::-1] if orientation in (2, 3, 6, 7) else turned)
 
 
 def write_png(path: Path, image: ArrayLike) -> None:
@@ -189,7 +205,70 @@ def _open(path: Path) -> oiio.ImageBuf:
     buffer = oiio.ImageBuf(str(path), 0, 0, hint)
     if buffer.has_error or not buffer.initialized:
         raise BadInputError(f"{path} is not a picture that can be read ({_reason(buffer)}); replace or remove it")
+    _check_size(buffer.spec(), path)
     return buffer
+
+
+def _attributes(spec: oiio.ImageSpec) -> dict[str, int | float | str]:
+    """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
+    found: dict[str, int | float | str] = {}
+    for attribute in spec.extra_attribs:
+        try:
+            name, value = attribute.name, attribute.value
+        except UnicodeDecodeError:
+            continue
+        if isinstance(value, (int, float, str)):
+            found[name] = value
+    return found
+
+
+def _text(spec: oiio.ImageSpec, name: str) -> str:
+    try:
+        return str(spec.get_string_attribute(name, ""))
+    except UnicodeDecodeError:
+        return ""
+
+
+def _check_size(spec: oiio.ImageSpec, path: Path) -> None:
+    """From the header alone: what a file claims is allocated before its first pixel is seen."""
+    width, height, depth, channels = spec.width, spec.height, spec.depth, spec.nchannels
+    if min(width, height, channels) < 1 or depth > 1 or spec.deep:
+        raise BadInputError(f"{path} is {width}x{height}x{depth} with {channels} channels, no flat picture; remove it")
+    if (size := width * height * channels * (1 if spec.format == oiio.TypeUInt8 else 4)) > MAX_DECODED_BYTES:
+        raise BadInputError(
+            f"{path} says that it is {width}x{height} with {channels} channels, {size // 2**20} MiB decoded, "
+            f"more than {MAX_DECODED_BYTES // 2**20}; make it smaller, or remove it"
+        )
+
+
+def _code_step(spec: oiio.ImageSpec) -> float | None:
+    """The smallest step between two values of a file with whole numbers, 0 to 1; None for a float file."""
+    return 1 / 255 if spec.format == oiio.TypeUInt8 else 1 / 65535 if spec.format == oiio.TypeUInt16 else None
+
+
+def _profile(spec: oiio.ImageSpec, path: Path) -> ColourProfile | None:
+    """The embedded profile where applying it changes anything."""
+    data = spec.getattribute("ICCProfile")
+    if data is None:
+        return None
+    try:
+        profile = read_profile(np.asarray(data, np.uint8).tobytes())
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise BadInputError(f"{path}: its colour profile: {error}; convert the picture to sRGB") from error
+    if profile is None or profile.is_srgb or len(profile.curves) > spec.nchannels:
+        return None
+    return profile
+
+
+def _in_srgb(profile: ColourProfile, pixels: NDArray[Any]) -> NDArray[Any]:
+    """Pixels [h, w, c] as sRGB [h, w, 3] of the same kind; a block of rows at a time, for memory's sake."""
+    result = np.empty((*pixels.shape[:2], 3), pixels.dtype)
+    for top in range(0, len(pixels), ROWS_AT_ONCE):
+        rows = pixels[top : top + ROWS_AT_ONCE, :, : len(profile.curves)]
+        whole = rows.dtype == np.uint8
+        colours = profile.srgb(from_bytes(rows) if whole else rows)
+        result[top : top + ROWS_AT_ONCE] = to_bytes(colours) if whole else colours
+    return result
 
 
 def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "uint16"] = "float") -> NDArray[Any]:
@@ -199,8 +278,9 @@ def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "
     if not buffer.read(force=True, convert=kind) or buffer.has_error:
         raise BadInputError(f"{path} is damaged ({_reason(buffer)}); copy it again or remove it")
     upright = buffer if buffer.orientation == 1 else oiio.ImageBufAlgo.reorient(buffer)
-    pixels = upright.get_pixels(kind)
-    if upright.has_error or pixels is None:
+    # Where a buffer could not be turned, asking for its pixels trips an assertion of OpenImageIO.
+    pixels = upright.get_pixels(kind) if upright.initialized and not upright.has_error else None
+    if pixels is None:
         raise BadInputError(f"{path} is damaged ({_reason(upright)}); copy it again or remove it")
     return pixels.reshape(upright.spec().height, upright.spec().width, -1)
 
@@ -215,14 +295,17 @@ def _cut_short(path: Path) -> bool:
 
 
 def _is_linear(spec: oiio.ImageSpec) -> bool:
-    space = str(spec.get_string_attribute("oiio:ColorSpace", "")).lower()
+    space = _text(spec, "oiio:ColorSpace").lower()
     if space:
         return space.startswith(("lin", "scene_linear", "acescg"))
     return oiio.TypeDesc(spec.format).basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE)
 
 
 def _reason(buffer: oiio.ImageBuf) -> str:
-    text = buffer.geterror().strip().splitlines()
+    try:
+        text = buffer.geterror().strip().splitlines()
+    except UnicodeDecodeError:  # it quotes the file's bytes
+        return "damaged header"
     return text[0] if text else "unknown format"
 
 

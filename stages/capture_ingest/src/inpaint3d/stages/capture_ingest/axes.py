@@ -22,4 +22,5 @@ def from_llff(world_from_cam: ArrayLike):
 
 def _turn(world_from_cam: ArrayLike, turn: NDArray[np.float64]):
     pose = np.asarray(world_from_cam, np.float64)[:3]
-    return as_pose(np.concatenate([pose[:, :3] @ turn, pose[:, 3:]], 1))
+    with np.errstate(invalid="ignore"):  # what is not finite is refused by name, with its frame
+        return as_pose(np.concatenate([pose[:, :3] @ turn, pose[:, 3:]], 1))

@@ -1,73 +1,88 @@
-"""A COLMAP model beside its pictures: `sparse/0/` or `sparse/`, text or binary."""
+"""A COLMAP model beside its pictures: `sparse/0/` or the largest of several, text or binary."""
 
-import struct
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, get_args
 
 import numpy as np
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
-from inpaint3d.scene.cameras import as_pose
-from inpaint3d.scene.image_io import read_header
-from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, numeric_order
+from inpaint3d.stages.capture_ingest.colmap_model import ListedCamera, ListedImage, count_images, has_model, read_model
+from inpaint3d.stages.capture_ingest.found import (
+    Found,
+    FoundFrame,
+    SourceFiles,
+    masks_for,
+    name_pictures,
+    numeric_order,
+    one_folder,
+    pictures_below,
+)
+from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera
 
-# COLMAP's number of each model, and how many parameters it has (src/colmap/sensor/models.h).
-MODELS = {0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8)}
-SUPPORTED = get_args(KnownCamera.model_fields["model"].annotation)
-Cameras = dict[int, tuple[str, int, tuple[float, ...]]]
-Image = tuple[str, int, tuple[float, ...], tuple[float, ...]]
+MAX_QUATERNION = 1e100  # its square can still be told from infinity, and that of its inverse from 0
+PICTURE_FOLDERS = ("images", "")
 
 
-def model_folder(root: Path) -> Path | None:
-    """Where the model lies, or None."""
-    for folder in (root / "sparse" / "0", root / "sparse", root):
-        if any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in (".bin", ".txt")):
-            return folder
-    return None
+def model_folders(root: Path) -> list[Path]:
+    """Where models lie: `sparse/0`, `sparse/1`, ..., `sparse`, or the top."""
+    sparse = root / "sparse"
+    numbered = sorted((p for p in sparse.iterdir() if p.is_dir()), key=numeric_order) if sparse.is_dir() else []
+    return [folder for folder in (*numbered, sparse, root) if has_model(folder)]
 
 
 def find(root: Path) -> Found:
     """The registered pictures with their cameras; BadInputError for a broken model or a missing picture."""
-    folder = model_folder(root)
-    if folder is None:
-        raise BadInputError(f"no cameras.bin or cameras.txt below {root.name}/sparse; export the model there")
-    binary = (folder / "cameras.bin").is_file()
-    try:
-        cameras = _cameras_bin(folder) if binary else _cameras_txt(folder)
-        images = list(_images_bin(folder) if binary else _images_txt(folder))
-    except (struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
-        raise BadInputError(f"the model in {folder.name}/ is damaged ({error!r}); export it again") from error
-    paths = {name: _picture(root, name) for name, *_ in images}
-    masks = masks_for(list(paths.values()), root / "masks") if (root / "masks").is_dir() else {}
-    frames = [
-        FoundFrame(
-            paths[name].stem, paths[name], masks.get(paths[name].stem), _known(paths[name], cameras[camera], q, t)
-        )
-        for name, camera, q, t in images
-    ]
-    return Found("colmap", sorted(frames, key=lambda f: numeric_order(f.image)))
+    folders = model_folders(root)
+    if not folders:
+        raise BadInputError("no cameras.bin or cameras.txt below sparse/; export the model there")
+    sizes = {folder: count_images(folder) for folder in folders}
+    folder = max(folders, key=sizes.__getitem__)  # the first of equals
+    where = folder.relative_to(root).as_posix()
+    cameras, images = read_model(folder)
+    files = SourceFiles(root)
+    paths = {image.number: _picture(files, image.name, where) for image in images}
+    frames = _frames(root, paths, cameras, images, where)
+    notes = files.notes(where)
+    if len(folders) > 1:
+        others = ", ".join(f"{f.relative_to(root).as_posix()} with {n}" for f, n in sizes.items() if f != folder)
+        notes.append(f"{where} is taken, the model with most pictures ({sizes[folder]}); not {others}")
+    if left := len(set(pictures_below(root / "images")) - set(paths.values())):
+        notes.append(f"{left} pictures of images/ are not in the model and left out")
+    return Found("colmap", frames, ordered=one_folder(frames), notes=notes)
 
 
-def _picture(root: Path, name: str) -> Path:
-    for path in (root / "images" / name, root / name):
-        if path.is_file():
-            return path
-    raise BadInputError(f"the model names {name}, which is not in images/; put the pictures there")
+def _picture(files: SourceFiles, name: str, where: str) -> Path:
+    if path := files.find(name, where, below=PICTURE_FOLDERS):
+        return path
+    raise BadInputError(f"{where}: the model names {name}, which is not in images/; put the pictures there")
 
 
-def _known(path: Path, camera: tuple[str, int, tuple[float, ...]], q: tuple[float, ...], t: tuple[float, ...]):
-    model, model_width, params = camera
-    if model not in SUPPORTED:
-        raise BadInputError(f"{path.name}: camera model {model}; undistort with COLMAP first, or estimate the cameras")
-    scale = read_header(path).upright_size[0] / model_width
-    lengths = 3 if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") else 4
-    scaled = tuple(p * scale if i < lengths else p for i, p in enumerate(params))
-    rotation = quaternion_matrix(q)  # camera from world
-    centre = -rotation.T @ np.array(t)
-    pose = as_pose(np.concatenate([rotation.T, centre[:, None]], 1))
-    return KnownCamera(model=model, params=scaled, world_from_cam=pose)  # pyright: ignore[reportArgumentType]
+def _frames(
+    root: Path, paths: dict[int, Path], cameras: dict[int, ListedCamera], images: list[ListedImage], where: str
+) -> list[FoundFrame]:
+    names = name_pictures(list(paths.values()))
+    masks = masks_for(list(paths.values()), root / "masks")
+    frames: list[FoundFrame] = []
+    for image in images:
+        if image.camera not in cameras:
+            raise BadInputError(
+                f"{where}: {image.name} has the camera {image.camera}, which is not listed; export it again"
+            )
+        path = paths[image.number]
+        camera = _known(path, cameras[image.camera], image, where)
+        frames.append(FoundFrame(names[path], path, masks.get(path), camera))
+    return sorted(frames, key=lambda f: numeric_order(f.image))
+
+
+def _known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
+    largest = max(map(abs, image.quaternion))
+    if not 1 / MAX_QUATERNION < largest < MAX_QUATERNION or not np.isfinite(image.quaternion).all():
+        raise BadInputError(f"{where}: {image.name} has the quaternion {list(image.quaternion)}; export it again")
+    rotation = quaternion_matrix(image.quaternion)  # camera from world
+    with np.errstate(all="ignore"):  # what is not finite is refused with the pose
+        centre = -rotation.T @ np.array(image.translation)
+    lens = StatedLens(camera.model, camera.params, (camera.width, camera.height))
+    return fit_camera(path, lens, np.concatenate([rotation.T, centre[:, None]], 1), where)
 
 
 def quaternion_matrix(q: tuple[float, ...]) -> np.ndarray:
@@ -80,50 +95,3 @@ def quaternion_matrix(q: tuple[float, ...]) -> np.ndarray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def _lines(path: Path) -> list[str]:
-    return [line for line in path.read_text().splitlines() if not line.startswith("#")]
-
-
-def _cameras_txt(folder: Path) -> Cameras:
-    rows = [line.split() for line in _lines(folder / "cameras.txt") if line.strip()]
-    return {int(r[0]): (r[1], int(r[2]), tuple(map(float, r[4:]))) for r in rows}
-
-
-def _images_txt(folder: Path) -> Iterator[Image]:
-    # Two lines an image: its pose and name, and its points, which may be an empty line.
-    for line in _lines(folder / "images.txt")[::2]:
-        row = line.split(maxsplit=9)
-        if len(row) == 10:
-            yield row[9], int(row[8]), tuple(map(float, row[1:5])), tuple(map(float, row[5:8]))
-
-
-def _cameras_bin(folder: Path) -> Cameras:
-    found: Cameras = {}
-    with (folder / "cameras.bin").open("rb") as file:
-        (count,) = _read(file, "<Q")
-        for _ in range(count):
-            number, model, width, _height = _read(file, "<iiQQ")
-            name, parameters = MODELS.get(model, (f"number {model}", 0))
-            if not parameters:
-                raise BadInputError(f"cameras.bin: camera model {name}; undistort with COLMAP first")
-            found[number] = (name, width, _read(file, f"<{parameters}d"))
-    return found
-
-
-def _images_bin(folder: Path) -> Iterator[Image]:
-    with (folder / "images.bin").open("rb") as file:
-        (count,) = _read(file, "<Q")
-        for _ in range(count):
-            _, *pose, camera = _read(file, "<i7di")
-            name = bytearray()
-            while (byte := file.read(1)) not in (b"\0", b""):
-                name += byte
-            (points,) = _read(file, "<Q")
-            file.seek(24 * points, 1)
-            yield name.decode(), camera, tuple(pose[:4]), tuple(pose[4:])
-
-
-def _read(file: BinaryIO, layout: str) -> tuple[Any, ...]:
-    return struct.unpack(layout, file.read(struct.calcsize(layout)))

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from inpaint3d.contracts.models.base import Closed
 
-Layout = Literal["photos", "video", "colmap", "nerfstudio", "llff", "spin-nerf", "realestate10k"]
+Layout = Literal["photos", "video", "colmap", "nerfstudio", "blender", "llff", "spin-nerf", "realestate10k"]
 
 
 class Config(Closed):
@@ -20,6 +20,9 @@ class Config(Closed):
     )
     spin_nerf_truth: Annotated[int, Field(ge=0)] = Field(
         default=40, description="first files of the SPIn-NeRF layout, which show the scene without the object"
+    )
+    blender_truth: bool = Field(
+        default=True, description="whether the test split of NeRF's synthetic layout is what views are scored against"
     )
     realestate10k_clip: str | None = Field(
         default=None, description="the clip to take from a RealEstate10k folder; needed where it holds several"

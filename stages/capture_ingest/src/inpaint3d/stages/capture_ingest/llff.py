@@ -1,5 +1,7 @@
 """LLFF: poses_bounds.npy, a row of 17 numbers for each picture: 3x5 pose with [height, width, focal], near, far."""
 
+import tokenize
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,30 +10,62 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_llff
-from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, pictures_in
+from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, name_pictures, pictures_in
+from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera, stated_frame
 
 FILE = "poses_bounds.npy"
 
 
-def read_cameras(root: Path, pictures: list[Path]) -> list[KnownCamera]:
-    """One camera for each picture, in sorted order, its focal length scaled to the picture's own size."""
-    try:
-        rows = np.load(root / FILE, allow_pickle=False)
-    except ValueError as error:
-        raise BadInputError(f"{FILE} cannot be read ({error}); export it again") from error
-    if rows.ndim != 2 or rows.shape[1] != 17:
-        raise BadInputError(f"{FILE} is {rows.shape}, not [pictures, 17]; export it again")
+def read_cameras(root: Path, pictures: list[Path]) -> dict[Path, KnownCamera]:
+    """Picture -> its camera. The rows have no names: they follow the pictures' names sorted as text.
+
+    So LLFF's imgs2poses.py writes them: f_10 before f_2.
+    """
+    rows = _read_rows(root / FILE)
     if len(rows) != len(pictures):
         raise BadInputError(f"{FILE} has {len(rows)} cameras for {len(pictures)} pictures; they must be as many")
-    cameras: list[KnownCamera] = []
-    for row, path in zip(rows, pictures, strict=True):
-        pose = row[:15].reshape(3, 5)
-        _, pose_width, focal = pose[:, 4]
-        width, height = read_header(path).upright_size
-        scaled = float(focal) * width / float(pose_width)
-        params = (scaled, scaled, width / 2, height / 2)
-        cameras.append(KnownCamera(model="PINHOLE", params=params, world_from_cam=from_llff(pose[:, :4])))
-    return cameras
+    pairs = zip(rows, sorted(pictures, key=lambda p: p.name), strict=True)
+    return {path: _camera(row, path) for row, path in pairs}
+
+
+def describe_order(pictures: list[Path]) -> list[str]:
+    """A note where the rows' order is not the one in which a person counts."""
+    as_text = sorted(pictures, key=lambda p: p.name)
+    if as_text == pictures:
+        return []
+    first, other = next((a.name, b.name) for a, b in zip(as_text, pictures, strict=True) if a != b)
+    return [f"the rows of {FILE} are taken in the order of names as text: {first} before {other}"]
+
+
+def _read_rows(path: Path) -> np.ndarray:
+    try:
+        # Mapped, a header that claims more than the file holds is refused; read, it would be allocated.
+        with warnings.catch_warnings(action="ignore"):  # headers that Python 2 wrote
+            rows = np.load(path, allow_pickle=False, mmap_mode="r")
+        if not isinstance(rows, np.ndarray) or rows.dtype.kind not in "fiu":
+            raise ValueError("no array of numbers")
+        if rows.ndim != 2 or rows.shape[1] != 17:
+            raise ValueError(f"{list(rows.shape)}, not [pictures, 17]")
+        return np.array(rows, np.float64)
+    except (ValueError, OSError, EOFError, OverflowError, TypeError, SyntaxError, tokenize.TokenError) as error:
+        raise BadInputError(f"{FILE} cannot be read ({error}); export it again") from error
+
+
+def _camera(row: np.ndarray, path: Path) -> KnownCamera:
+    pose = row[:15].reshape(3, 5)
+    pose_height, pose_width, focal = (float(v) for v in pose[:, 4])
+    if not (np.isfinite([pose_height, pose_width, focal]).all() and min(pose_height, pose_width, focal) > 0):
+        raise BadInputError(
+            f"{FILE}: the row of {path.name} has height, width and focal length {pose_height:g}, {pose_width:g}, "
+            f"{focal:g}; export it again"
+        )
+    try:
+        (width, height), _ = stated_frame(read_header(path), (pose_width, pose_height))
+    except ValueError as error:
+        raise BadInputError(f"{FILE}: the row of {path.name} {error}; export it again") from error
+    scaled = focal * width / pose_width
+    lens = StatedLens("PINHOLE", (scaled, scaled, width / 2, height / 2), (width, height))
+    return fit_camera(path, lens, from_llff(pose[:, :4]), FILE)
 
 
 def find(root: Path) -> Found:
@@ -39,6 +73,7 @@ def find(root: Path) -> Found:
     folder = root / "images" if (root / "images").is_dir() else root
     pictures = pictures_in(folder)
     cameras = read_cameras(root, pictures)
-    masks = masks_for(pictures, root / "masks") if (root / "masks").is_dir() else {}
-    pairs = zip(pictures, cameras, strict=True)
-    return Found("llff", [FoundFrame(p.stem, p, masks.get(p.stem), c) for p, c in pairs])
+    names = name_pictures(pictures)
+    masks = masks_for(pictures, root / "masks")
+    frames = [FoundFrame(names[p], p, masks.get(p), cameras[p]) for p in pictures]
+    return Found("llff", frames, notes=describe_order(pictures))

@@ -1,4 +1,7 @@
-"""nerfstudio and instant-ngp: transforms.json, OpenGL axes, intrinsics for all frames or for each."""
+"""nerfstudio and instant-ngp: transforms.json, OpenGL axes, intrinsics for all frames or for each.
+
+NeRF's synthetic scenes (`blender.py`) have the same kind of file for each of their splits.
+"""
 
 import json
 import math
@@ -9,52 +12,117 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_opengl
-from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, numeric_order
+from inpaint3d.stages.capture_ingest.found import (
+    Found,
+    FoundFrame,
+    SourceFiles,
+    masks_for,
+    name_pictures,
+    numeric_order,
+    one_folder,
+)
+from inpaint3d.stages.capture_ingest.lenses import StatedLens, check_model, fit_camera
 
 FILE = "transforms.json"
 
 
 def find(root: Path) -> Found:
-    """Frames with their cameras. Frames that are listed but not there are left out, and noted."""
+    """Frames with their cameras and masks. Frames that are listed but not there are left out, and noted."""
+    files = SourceFiles(root)
+    frames, notes = read_frames(files, FILE)
+    return Found("nerfstudio", frames, ordered=one_folder(frames), notes=notes + files.notes(FILE))
+
+
+def read_frames(files: SourceFiles, document: str) -> tuple[list[FoundFrame], list[str]]:
+    """The frames of one file in numeric order, and what is to be said of it."""
+    top, listed = _read(files.root / document)
+    places = [(frame, files.find(frame.get("file_path"), document)) for frame in listed]
+    there: dict[Path, dict[str, Any]] = {}
+    for frame, path in places:
+        if path is not None and there.setdefault(path, frame) is not frame:
+            raise BadInputError(f"{document} lists {frame['file_path']} twice; list it once")
+    paths = sorted(there, key=numeric_order)
+    names = name_pictures(paths)
+    named = any("mask_path" in frame for frame in listed)
+    masks = {} if named else masks_for(paths, files.root / "masks")
+    frames: list[FoundFrame] = []
+    for path in paths:
+        values = {**top, **there[path]}
+        mask = _mask(files, values, document)
+        camera = read_camera(path, values, document)
+        frames.append(FoundFrame(names[path], path, mask or masks.get(path), camera, hole_is_black=mask is not None))
+    return frames, _notes(document, listed, len(frames))
+
+
+def _notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
+    notes: list[str] = []
+    if missing := len(listed) - taken:
+        notes.append(f"{document} lists {len(listed)} frames, {missing} of them are not there and left out")
+    if depths := sum("depth_file_path" in frame for frame in listed):
+        notes.append(f"{document} names {depths} depth pictures (depth_file_path), which are not read")
+    return notes
+
+
+def _read(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     try:
-        document = json.loads((root / FILE).read_text())
-        listed = document["frames"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise BadInputError(f"{FILE} is not what nerfstudio writes ({error!r}); export it again") from error
-    there = {_image(root, f["file_path"]): f for f in listed if _image(root, f["file_path"]) is not None}
-    paths = sorted((p for p in there if p is not None), key=numeric_order)
-    masks = masks_for(paths, root / "masks") if (root / "masks").is_dir() else {}
-    frames = [FoundFrame(p.stem, p, masks.get(p.stem), _camera(p, {**document, **there[p]})) for p in paths]
-    missing = len(listed) - len(frames)
-    notes = [f"{FILE} lists {len(listed)} frames, {missing} of them are not there and left out"] if missing else []
-    return Found("nerfstudio", frames, ordered=True, notes=notes)
+        top = json.loads(path.read_text(encoding="utf-8-sig"))
+        listed = top["frames"]
+        if not isinstance(listed, list) or not all(isinstance(frame, dict) for frame in listed):
+            raise TypeError("frames is no list of objects")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise BadInputError(f"{path.name} is not what nerfstudio writes ({error!r}); export it again") from error
+    return {key: value for key, value in top.items() if key != "frames"}, listed
 
 
-def _image(root: Path, listed: str) -> Path | None:
-    path = root / listed
-    candidates = [path] if path.suffix else [path.with_suffix(s) for s in (".png", ".jpg", ".jpeg")]
-    return next((p for p in candidates if p.is_file()), None)
+def _mask(files: SourceFiles, values: dict[str, Any], document: str) -> Path | None:
+    if (listed := values.get("mask_path")) is None:
+        return None
+    if (path := files.find(listed, document)) is None:
+        raise BadInputError(f"{document}: mask_path {listed} is not there; put the mask there, or remove the entry")
+    return path
 
 
-def _camera(path: Path, values: dict[str, Any]) -> KnownCamera:
-    """OPENCV where there is distortion, else PINHOLE; scaled where the picture is not of the size the file names."""
-    width, height = read_header(path).upright_size
+def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamera:
+    """OPENCV where there is distortion, else PINHOLE; BadInputError names the document and the picture."""
     try:
-        scale_x, scale_y = width / values.get("w", width), height / values.get("h", height)
-        fx = values["fl_x"] if "fl_x" in values else _focal(values["camera_angle_x"], values.get("w", width))
-        fy = values.get("fl_y", fx)
-        cx, cy = values.get("cx", width / scale_x / 2), values.get("cy", height / scale_y / 2)
+        check_model(_model(values))
+    except ValueError as error:
+        raise BadInputError(f"{document}: the camera of {path.name} {error}") from error
+    header = read_header(path)
+    size = (header.width, header.height)
+    try:
+        size = (float(values.get("w", size[0])), float(values.get("h", size[1])))
+        fx = float(values["fl_x"]) if "fl_x" in values else _focal(float(values["camera_angle_x"]), size[0])
+        fy = float(values["fl_y"]) if "fl_y" in values else _vertical(values, fx, size[1])
+        pinhole = (fx, fy, float(values.get("cx", size[0] / 2)), float(values.get("cy", size[1] / 2)))
+        k3, k4, *distortion = (float(values.get(k, 0.0)) for k in ("k3", "k4", "k1", "k2", "p1", "p2"))
         pose = from_opengl(values["transform_matrix"])
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise BadInputError(f"{FILE}: the camera of {path.name} is incomplete ({error!r}); export it again") from error
-    if any(values.get(k) for k in ("k3", "k4")):
-        raise BadInputError(f"{FILE}: {path.name} has k3 or k4; undistort the pictures, or estimate the cameras")
-    pinhole = (fx * scale_x, fy * scale_y, cx * scale_x, cy * scale_y)
-    distortion = tuple(float(values.get(k, 0.0)) for k in ("k1", "k2", "p1", "p2"))
-    if any(distortion):
-        return KnownCamera(model="OPENCV", params=(*pinhole, *distortion), world_from_cam=pose)
-    return KnownCamera(model="PINHOLE", params=pinhole, world_from_cam=pose)
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError, ZeroDivisionError) as error:
+        raise BadInputError(
+            f"{document}: the camera of {path.name} is incomplete ({error!r}); export it again"
+        ) from error
+    if k3 or k4:
+        raise BadInputError(f"{document}: {path.name} has k3 or k4; undistort the pictures, or estimate the cameras")
+    lens = (
+        StatedLens("OPENCV", (*pinhole, *distortion), size) if any(distortion) else StatedLens("PINHOLE", pinhole, size)
+    )
+    return fit_camera(path, lens, pose, document)
 
 
-def _focal(angle: float, width: float) -> float:
-    return 0.5 * width / math.tan(0.5 * angle)
+def _model(values: dict[str, Any]) -> str:
+    """The model's name; instant-ngp says fisheye by a flag."""
+    for flag, model in (("is_fisheye", "OPENCV_FISHEYE"), ("ftheta_p0", "FTHETA")):
+        if values.get(flag):
+            return f"{model} ({flag})"
+    return str(values.get("camera_model") or "OPENCV").upper()
+
+
+def _focal(angle: float, size: float) -> float:
+    return 0.5 * size / math.tan(0.5 * angle)
+
+
+def _vertical(values: dict[str, Any], fx: float, height: float) -> float:
+    """By its own angle where there is one and no focal length at all, else as the horizontal one."""
+    if "fl_x" not in values and "camera_angle_y" in values:
+        return _focal(float(values["camera_angle_y"]), height)
+    return fx

@@ -4,9 +4,10 @@ from pathlib import Path
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.stages.capture_ingest import llff
-from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, pictures_in
+from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, name_pictures, pictures_in
 
 FOLDER = "images_4"
+LABELS, TEST_LABELS = "label", "test_label"
 
 
 def find(root: Path, truth_count: int) -> Found:
@@ -18,9 +19,22 @@ def find(root: Path, truth_count: int) -> Found:
             "set capture-ingest.spin_nerf_truth to how many there are"
         )
     cameras = llff.read_cameras(root, pictures)
-    shown, taken = pictures[:truth_count], pictures[truth_count:]
-    labels = masks_for(taken, root / FOLDER / "label")
-    test_labels = masks_for(shown, root / FOLDER / "test_label")
-    truth = [FoundFrame(p.stem, p, test_labels.get(p.stem), c) for p, c in zip(shown, cameras, strict=False)]
-    frames = [FoundFrame(p.stem, p, labels.get(p.stem), c) for p, c in zip(taken, cameras[truth_count:], strict=True)]
-    return Found("spin-nerf", frames, truth)
+    names = name_pictures(pictures)
+    notes = llff.describe_order(pictures)
+
+    def views(chosen: list[Path], labels: str) -> list[FoundFrame]:
+        masks = _labels_for(chosen, root / FOLDER / labels, notes)
+        return [FoundFrame(names[p], p, masks.get(p), cameras[p]) for p in chosen]
+
+    truth, frames = views(pictures[:truth_count], TEST_LABELS), views(pictures[truth_count:], LABELS)
+    return Found("spin-nerf", frames, truth, notes=notes)
+
+
+def _labels_for(pictures: list[Path], folder: Path, notes: list[str]) -> dict[Path, Path]:
+    """Masks by name, or by order where not one name fits and there are as many."""
+    labels = pictures_in(folder)
+    stems = {p.stem for p in pictures} | {p.name for p in pictures}
+    if labels and len(labels) == len(pictures) and not any(mask.stem in stems for mask in labels):
+        notes.append(f"{folder.name}/: no mask has the name of a picture; all {len(labels)} are taken in order")
+        return dict(zip(pictures, labels, strict=True))
+    return masks_for(pictures, folder)

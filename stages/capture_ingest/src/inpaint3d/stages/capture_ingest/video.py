@@ -9,7 +9,6 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 
-SUFFIXES = frozenset([".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"])
 EVEN_SIDE = 320  # sharpness is compared on a small copy: noise of a large one would win
 
 

@@ -1,10 +1,24 @@
 """A capture as photographed: frames, what the camera said of them, and the views kept back as truth."""
 
+from collections import Counter
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath
+
+# What photographers deliver and the wheel of OpenImageIO reads.
+PICTURE_SUFFIXES = frozenset(
+    [".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".hdr", ".webp", ".bmp", ".jp2", ".ppm", ".tga"]
+)
+VIDEO_SUFFIXES = frozenset([".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"])
+_RAW = "develop to 16-bit TIFF or JPEG with darktable-cli or RawTherapee"
+# Pictures that need another program first: suffix -> what to do.
+UNREADABLE_SUFFIXES = {
+    **dict.fromkeys([".heic", ".heif"], "convert to JPEG with `heif-convert -q 95` (libheif)"),
+    ".avif": "convert to PNG with avifdec (libavif)",
+    **dict.fromkeys([".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".pef"], _RAW),
+}
 
 
 class Exif(Closed):
@@ -26,7 +40,10 @@ class KnownCamera(Closed):
 
 
 class CapturedFrame(Closed):
-    """One picture: sRGB-encoded 8-bit JPEG or PNG, upright (EXIF orientation already applied)."""
+    """One picture: sRGB-encoded 8-bit JPEG or PNG, upright (EXIF orientation already applied).
+
+    Where a PNG has alpha of at most 127, nothing was photographed: such a pixel is no evidence, whatever its colour.
+    """
 
     name: FrameName
     path: RelativePath = Field(description="frames/NAME.jpg or .png")
@@ -39,15 +56,25 @@ class CapturedFrame(Closed):
     )
 
 
+def _check_names(frames: tuple[CapturedFrame, ...]) -> tuple[CapturedFrame, ...]:
+    names = [frame.name for frame in frames]
+    if twice := sorted({name for name, count in Counter(names).items() if count > 1}):
+        raise ValueError(f"{len(twice)} names are of several frames: {', '.join(twice[:3])}")
+    return frames
+
+
+Frames = Annotated[tuple[CapturedFrame, ...], AfterValidator(_check_names)]
+
+
 class Capture(Closed):
     """Frames of one static scene, in capture order."""
 
-    layout: Literal["photos", "video", "colmap", "nerfstudio", "llff", "spin-nerf", "realestate10k"]
+    layout: Literal["photos", "video", "colmap", "nerfstudio", "blender", "llff", "spin-nerf", "realestate10k"]
     ordered: bool = Field(description="neighbours in the list were taken one after the other")
-    frames: tuple[CapturedFrame, ...]
+    frames: Frames
 
 
 class Truth(Closed):
     """Views that show what is really behind the mask; wired to evaluation alone. Masks in it are evaluation-only."""
 
-    frames: tuple[CapturedFrame, ...]
+    frames: Frames

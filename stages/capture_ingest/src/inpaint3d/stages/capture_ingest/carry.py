@@ -1,0 +1,144 @@
+"""A found picture becomes a frame of the capture: decoded once, upright, sRGB, with its mask at its size."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import CapturedFrame, Exif
+from inpaint3d.scene.colour import to_bytes
+from inpaint3d.scene.image_io import (
+    Header,
+    Mask,
+    read_header,
+    read_mask,
+    read_opaque,
+    read_stored,
+    turn_upright,
+    write_mask,
+    write_png,
+)
+from inpaint3d.stages.capture_ingest.found import FoundFrame
+from inpaint3d.stages.capture_ingest.lenses import stated_frame
+
+KEPT_AS_THEY_ARE = ("jpeg", "png")
+FILM_WIDTH_MM = 36.0
+WITH_ALPHA = (2, 4)
+
+
+@dataclass(frozen=True)
+class Carried:
+    """A frame as the artifact lists it, and what a person should know of it."""
+
+    frame: CapturedFrame
+    mask_share: float | None
+    """How much of the picture its mask covers; None without one."""
+    transparent_share: float
+
+
+def carry(frame: FoundFrame, folder: Path) -> Carried:
+    """Decode a picture (a damaged one is found here), carry it over below `folder`, resample its mask to its size."""
+    header = read_header(frame.image)
+    codes = read_stored(frame.image)
+    height, width = codes.shape[:2]
+    opaque = read_opaque(frame.image) if header.channels in WITH_ALPHA else None
+    if opaque is not None and opaque.all():
+        opaque = None
+    target = _write_picture(frame, header, codes, opaque, folder)
+    mask = None if frame.mask is None else fit_mask(frame.mask, header, hole_is_black=frame.hole_is_black)
+    if mask is not None:
+        write_mask(_new(folder / "masks" / f"{frame.name}.png", frame), mask)
+    return Carried(
+        CapturedFrame(
+            name=frame.name,
+            path=f"frames/{target.name}",
+            width=width,
+            height=height,
+            exif=read_exif(header, width, height),
+            camera=frame.camera,
+            mask=None if mask is None else f"masks/{frame.name}.png",
+        ),
+        None if mask is None else float(mask.mean()),
+        0.0 if opaque is None else float(1 - opaque.mean()),
+    )
+
+
+def _write_picture(
+    frame: FoundFrame, header: Header, codes: NDArray[np.generic], opaque: Mask | None, folder: Path
+) -> Path:
+    """Byte for byte where that is an upright 8-bit sRGB file already; transparent pixels stay transparent."""
+    whole = header.bits == 8 and header.orientation == 1 and header.profile is None and opaque is None
+    as_it_is = header.format in KEPT_AS_THEY_ARE and whole
+    suffix = ".jpg" if as_it_is and header.format == "jpeg" else ".png"
+    target = _new(folder / "frames" / f"{frame.name}{suffix}", frame)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if as_it_is:
+        shutil.copyfile(frame.image, target)
+    elif opaque is None:
+        write_png(target, codes)
+    else:
+        write_png(target, _fill_transparent(frame, codes if codes.dtype == np.uint8 else to_bytes(codes), opaque))
+    return target
+
+
+def _new(target: Path, frame: FoundFrame) -> Path:
+    if target.exists():
+        raise BadInputError(f"{frame.image.name}: another picture has the name {frame.name} already; rename one")
+    return target
+
+
+def _fill_transparent(frame: FoundFrame, codes: NDArray[np.generic], opaque: Mask) -> NDArray[np.uint8]:
+    """RGBA [h, w, 4] whose transparent pixels have the colour of the nearest opaque one: no edge where nothing is."""
+    if not opaque.any():
+        raise BadInputError(f"{frame.image.name} is transparent everywhere; remove it")
+    blank = np.where(opaque, np.uint8(0), np.uint8(255))
+    _, numbers = cv2.distanceTransformWithLabels(blank, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    labels = np.asarray(numbers, np.int64)
+    nearest = np.zeros(int(labels.max()) + 1, np.int64)
+    nearest[labels[opaque]] = np.flatnonzero(opaque)
+    filled = codes.reshape(-1, 3)[nearest[labels]]
+    return np.concatenate([filled, np.where(opaque, np.uint8(255), np.uint8(0))[..., None]], -1).astype(np.uint8)
+
+
+def fit_mask(path: Path, header: Header, *, hole_is_black: bool = False) -> Mask:
+    """The mask at its picture's upright size, turned as EXIF turns the picture where it is of the stored pixels.
+
+    BadInputError where its aspect ratio is another: it is of another picture.
+    """
+    mask = read_mask(path)
+    if hole_is_black:
+        mask = ~mask
+    try:
+        _, orientation = stated_frame(header, (mask.shape[1], mask.shape[0]))
+    except ValueError as error:
+        raise BadInputError(f"mask {path.name} {error}; make the mask on that picture") from error
+    mask = turn_upright(mask, orientation)
+    if mask.shape[::-1] == header.upright_size:
+        return mask
+    return cv2.resize(mask.astype(np.uint8), header.upright_size, interpolation=cv2.INTER_NEAREST).astype(bool)
+
+
+def read_exif(header: Header, width: int, height: int) -> Exif:
+    """What the camera recorded, as far as it makes sense."""
+    values = header.exif
+
+    def number(*names: str) -> float | None:
+        for name in names:
+            value = values.get(name)
+            if isinstance(value, (int, float)) and 0 < value < float("inf"):
+                return float(value)
+        return None
+
+    film = number("Exif:FocalLengthIn35mmFilm")
+    make, model = (str(values.get(k, "")).strip() for k in ("Make", "Model"))
+    return Exif(
+        focal_px=film / FILM_WIDTH_MM * max(width, height) if film else None,
+        exposure_s=number("ExposureTime", "Exif:ExposureTime"),
+        iso=number("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"),
+        f_number=number("FNumber", "Exif:FNumber"),
+        camera=f"{make} {model}".strip() or None,
+    )
