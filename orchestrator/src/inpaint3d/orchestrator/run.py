@@ -20,7 +20,7 @@ from inpaint3d.contracts.errors import (
     RetryableError,
     WaitingError,
 )
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.report import NodeRun, RunRecord, Status
 from inpaint3d.contracts.store import Record
 from inpaint3d.orchestrator.history import this_machine

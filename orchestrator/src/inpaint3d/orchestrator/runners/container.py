@@ -21,7 +21,8 @@ from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, RetryableError, from_os_error
 from inpaint3d.contracts.kit.code import IMAGE_DIGEST
-from inpaint3d.contracts.kit.shim import GRACE_S, Invocation, die_with_parent
+from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
+from inpaint3d.contracts.kit.shim import GRACE_S, die_with_parent
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.cluster import Image
@@ -190,7 +191,7 @@ def main() -> None:
     parser.add_argument("--memory", type=int)
     given = parser.parse_args()
     try:
-        invocation = Invocation.model_validate_json(given.invocation.read_bytes())
+        invocation = load_invocation(given.invocation)
         if invocation.die_with_parent:
             die_with_parent()
         sys.exit(contained(open_store(given.store), given.key, invocation, given))
