@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from inpaint3d.contracts.models.base import Closed
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.contracts.schemas import published
+from inpaint3d.contracts.schemas import build_schema
 
 
 class Size(Closed):
@@ -128,7 +128,7 @@ def write_toy(folder: Path, **packages: str) -> Path:
     schemas.mkdir(parents=True)
     for name in STAGES:
         model = JoinConfig if name == "join" else TrainConfig
-        (schemas / f"{name}.json").write_text(json.dumps(published(model, name, "0")))
+        (schemas / f"{name}.json").write_text(json.dumps(build_schema(model, name, "0")))
     (folder / "pipeline.yaml").write_text(PIPELINE)
     return folder / "pipeline.yaml"
 

@@ -2,10 +2,12 @@ import pytest
 
 from inpaint3d.contracts.errors import RetryableError
 from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.housekeeping import collect
 
-KEY = "sha256:" + "a" * 64
+COMPONENTS = {"seed": 1}
+KEY = digest_of(COMPONENTS)
 
 
 def committed(store):
@@ -13,7 +15,7 @@ def committed(store):
     folder = store.private_folder()
     (folder / "a.txt").write_text("a")
     digest = store.put(folder, "source", Source(name="x", kind="folder"))
-    store.commit(Record(key=KEY, stage="s@1", components={}, outputs={"x": digest}, provenance={}, timings={}))
+    store.commit(Record(key=KEY, stage="s@1", components=COMPONENTS, outputs={"x": digest}, provenance={}, timings={}))
     return digest
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from inpaint3d.contracts.errors import RetryableError
 from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.stage import memory_bytes
 from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.runners.container import STAGE_USER, take_over
@@ -165,9 +166,10 @@ def test_what_a_container_left_is_believed_only_as_its_digests_say(tmp_path):
     (folder / "raw").mkdir()
     (folder / "raw" / "a.txt").write_text("a")
     digest = scratch.put(folder, "source", Source(name="x", kind="folder"))
-    key = "sha256:" + "1" * 64
+    components = {"seed": 1}
+    key = digest_of(components)
     scratch.commit(
-        Record(key=key, stage="s@1", components={}, outputs={"capture": digest}, provenance={}, timings={})
+        Record(key=key, stage="s@1", components=components, outputs={"capture": digest}, provenance={}, timings={})
     )  # fmt: skip
     written = scratch.object_path(digest) / "raw" / "a.txt"
     written.chmod(0o644)

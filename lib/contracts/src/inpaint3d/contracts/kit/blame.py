@@ -4,7 +4,6 @@ Readers are functions that are given a file. A `KeyError` that comes out of one 
 that the file is not what it should be; the same error anywhere else is a bug.
 """
 
-import os
 import struct
 import traceback
 import zipfile
@@ -58,9 +57,9 @@ def _name_file(given: object, error: Exception, opened: Mapping[str, Path]) -> s
     """`port: file`, where a function was given a file or folder of an input, or the artifact whose data is invalid."""
     if isinstance(given, Artifact) and isinstance(error, ValidationError):
         given = given.root
-    if not isinstance(given, str | os.PathLike):
+    if not isinstance(given, str | Path):
         return None
-    path = Path(os.fspath(given) if not isinstance(given, str) else given)
+    path = Path(given)
     for port, root in opened.items():
         if path.is_relative_to(root) or path.is_relative_to(root.resolve()):
             inside = path.relative_to(root if path.is_relative_to(root) else root.resolve())

@@ -61,6 +61,8 @@ class RunRecord(Closed):
     started: str
     finished: str | None = None
     wall_s: float | None = None
+    error: str | None = Field(default=None, description="why the run itself ended early, where no node says it")
+    process: str | None = Field(default=None, description="what runs it, or ran it: `store.Owner`")
     machine: Machine
     nodes: tuple[NodeRun, ...] = ()
 
