@@ -75,10 +75,23 @@ def cut(data):
 
 
 def mistyped(data):
-    return json.dumps(json.loads(data) | {"externals": []}).encode()
+    return seal(json.loads(data) | {"externals": []})
 
 
-@pytest.mark.parametrize("spoil", [cut, mistyped, lambda _: b"", lambda _: b"[]", lambda _: b"\xff", lambda _: b"null"])
+def flip(data):
+    """Another key in the place of the one that the run has."""
+    return data.replace(KEY.encode(), digest_of("another").encode())
+
+
+def seal(body):
+    """A record's bytes as a version writes them that has other fields."""
+    body.pop("digest")
+    return json.dumps({"digest": digest_of(body), **body}).encode()
+
+
+@pytest.mark.parametrize(
+    "spoil", [cut, mistyped, flip, lambda _: b"", lambda _: b"[]", lambda _: b"\xff", lambda _: b"null"]
+)
 def test_gc_removes_nothing_while_a_runs_record_cannot_be_read(kept, spoil):
     store, digest, path = kept
     store.write(path, spoil(store.read(path)))
@@ -110,7 +123,7 @@ def test_of_a_newer_versions_record_all_that_it_names_is_kept(kept):
     store, digest, path = kept
     other = store.put(store.private_folder(), "source", Source(name="newer", kind="folder"))
     newer = json.loads(store.read(path)) | {"previews": {"a": [other]}, "status": "paused"}
-    store.write(path, json.dumps(newer).encode())
+    store.write(path, seal(newer))
     write_run(store, sequence=2)
     collect(store, keep=1, dry_run=False)
     assert store.is_whole(digest)

@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, from_os_error
+from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, from_os_error
 from inpaint3d.contracts.models.cluster import Image, ImagesSpec
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
@@ -61,15 +61,16 @@ def main() -> None:
         app(standalone_mode=True)
     except Inpaint3dError as error:
         _fail(error)
-    except BrokenPipeError:  # whoever read what was written has gone: `inpaint3d runs | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to be flushed goes nowhere
-        _fail(InterruptedRun("nobody reads standard output any more"))
     except OSError as error:
         _fail(from_os_error(error))
 
 
 def _fail(error: Inpaint3dError) -> None:
     sys.stderr.write(printable(f"inpaint3d: {error.kind}: {error}\n"))
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # nobody reads it: what is left of it goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(error.exit_code)
 
 

@@ -7,8 +7,6 @@ import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.store import Store, note, parse_owner
@@ -31,7 +29,7 @@ class History:
         if not self._store.is_writable:
             self._tell(f"{self._store.place} is read-only: it will not remember this run")
             return
-        self._store.write(f"runs/{record.name}/{record.id}.json", record.model_dump_json(indent=1).encode())
+        self._store.write(f"runs/{record.name}/{record.id}.json", record.encode())
 
     def names(self) -> list[str]:
         return self._store.names("runs")
@@ -48,8 +46,8 @@ class History:
         """The runs of a name, the newest first. What cannot be read here is passed over, and said once."""
         for path, data in self.documents(name):
             try:
-                yield RunRecord.model_validate_json(data)
-            except ValidationError:
+                yield RunRecord.decode(data)
+            except ValueError:
                 self._tell(f"{self._store.place}/{path} is damaged or of another version; passed over")
 
     def latest(self, name: str) -> RunRecord:

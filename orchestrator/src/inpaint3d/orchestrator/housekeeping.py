@@ -14,7 +14,7 @@ from inpaint3d.contracts.kit.code import CODE_FOLDER, code_path
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.canonical import digest_of_chunks
 from inpaint3d.contracts.models.manifest import first_error
-from inpaint3d.contracts.models.report import RunRecord
+from inpaint3d.contracts.models.report import RunRecord, read_run_document
 from inpaint3d.contracts.store import Record, Store, key_of, key_path
 from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.history import History
@@ -127,12 +127,13 @@ def read_needs(data: bytes) -> RunNeeds:
 
     Of a record with fields that this version does not know, every digest that stands anywhere in it is needed.
     """
+    body = read_run_document(data)
     try:
-        needs = _Needs.model_validate_json(data)
+        needs = _Needs.model_validate(body)
     except ValidationError as error:
         raise ValueError(first_error(error)) from error
     try:
-        RunRecord.model_validate_json(data)
+        RunRecord.model_validate(body)
     except ValidationError:
         named = _find_digests(data)
         return RunNeeds(whole=False, known=False, keys=named, objects=named)

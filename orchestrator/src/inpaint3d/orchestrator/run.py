@@ -76,8 +76,11 @@ class Scheduler:
             with self._signals(), tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
                 self._private = Path(private)
                 self._go_along()
+        except BrokenPipeError as error:
+            self._abort("stopped", gone := "nobody reads standard output any more")
+            raise InterruptedRun(gone) from error
         except BaseException as error:
-            self._abort(error)
+            self._abort("failed", str(error) or type(error).__name__)
             raise
         return self._finish()
 
@@ -90,7 +93,7 @@ class Scheduler:
                 break
             self._hear()
 
-    def _abort(self, error: BaseException) -> None:
+    def _abort(self, status: RunStatus, message: str) -> None:
         """End the stages, and the record, of a run that an exception ends."""
         for running in self._running.values():
             running.stop()
@@ -98,10 +101,6 @@ class Scheduler:
             running.wait()
         with contextlib.suppress(OSError):  # what failed may be the display
             self.display.close()
-        said = "nobody reads standard output any more" if isinstance(error, BrokenPipeError) else str(error)
-        message = said or type(error).__name__
-        stopped = isinstance(error, BrokenPipeError | KeyboardInterrupt | InterruptedRun)
-        status: RunStatus = "stopped" if stopped else "failed"
         for node in self._running:
             self._results[node] = self._node_run(self._tasks[node], "stopped").model_copy(update={"error": message})
         self._running.clear()
