@@ -10,6 +10,7 @@ any of this failed once.
 
 import argparse
 import collections
+import contextlib
 import json
 import os
 import random
@@ -160,10 +161,13 @@ def try_kill(cli: Cli, capture: Path, rng: random.Random) -> tuple[str, str | No
         arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=cli.environment(), start_new_session=True
     )
     time.sleep(rng.uniform(0.3, 6.0))
-    if process.poll() is None:
-        victims = find_children(process.pid) if whom == "stage" else [process.pid]
+    victims = find_children(process.pid) if whom == "stage" else [process.pid]
+    if process.poll() is not None or not victims:
+        whom = "nobody: it had ended, or no stage was at work"
+    else:
         for pid in victims:
-            (os.killpg if whom == "group" else os.kill)(pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):
+                (os.killpg if whom == "group" else os.kill)(pid, signal.SIGKILL)
     process.wait()
     again = subprocess.run(arguments, capture_output=True, text=True, check=False, env=cli.environment())
     if again.returncode != 0:

@@ -137,7 +137,6 @@ def evaluate_dataset(
         results = places.runs_dir / f"{dataset}-{path.name}"
         with own_folder(results), store.shared():
             planner = configured.planner(store, path, results.name)
-            check_capture(planner, replace=False)
             record, code = _carry_out(planner, Selection(), results, log_format, ProcessRunner())
         codes.append(code)
         scores.append(read_figures(path.name, read_report(results)) if code == 0 else SceneScore(path.name))

@@ -1,9 +1,9 @@
 """The content-addressed store: artifacts by digest, results by key, visible whole or not at all.
 
     objects/DIGEST/         an artifact: artifact.json and its files, read-only once there
-    keys/KEY.json           the commit point: key -> output digests, components, provenance, times. Immutable
+    keys/KEY.json           the commit point: key -> output digests, components, provenance, times, its own digest
     code/DIGEST.json        the source files behind a `code` component, each with its digest. Immutable
-    work/KEY/               checkpoints of a run that has not committed yet
+    work/KEY/               checkpoints of a run that has not committed yet; work/KEY.owner: whose
     runs/NAME/ID.json       records of runs
     tmp/  locks/  quarantine/
 
