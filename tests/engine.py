@@ -6,6 +6,7 @@ has no handler yet), or a number, which it exits with.
 """
 
 import argparse
+import csv
 import json
 import os
 import signal
@@ -29,7 +30,7 @@ def main() -> None:
         sys.exit(int(fault))
     if fault == "deaf":
         deaf()
-    places = [dict(part.partition("=")[::2] for part in mount.split(",")) for mount in given.mount]
+    places = [dict(part.partition("=")[::2] for part in row) for row in csv.reader(given.mount)]
     root = next(p["source"] for p in places if "readonly" not in p)
     for place in places:
         if "readonly" in place:

@@ -55,7 +55,7 @@ from benchmarks.joint.rows import (
 from benchmarks.provenance import commit
 
 from inpaint3d.contracts.kit.context import Inputs
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.artifacts import Evaluation
 from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.contracts.store import FolderStore, Record

@@ -1,17 +1,26 @@
 """The page of times: what each stage cost, and what stopping earlier would have cost."""
 
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.times import render_times
 
-KEY = "sha256:" + "a" * 64
+COMPONENTS = {"seed": 1}
+KEY = digest_of(COMPONENTS)
 MACHINE = Machine(processor="P", cores=2, memory_bytes=2**33, python="3.12")
 
 
 def page(tmp_path, series, non_finite=None):
     store = FolderStore(tmp_path / "store")
     store.commit(
-        Record(key=KEY, stage="s@1", components={}, outputs={}, provenance={}, timings={"series": {"curve": series}})
+        Record(
+            key=KEY,
+            stage="s@1",
+            components=COMPONENTS,
+            outputs={},
+            provenance={},
+            timings={"series": {"curve": series}},
+        )
     )
     node = NodeRun(node="train", status="done", reason="<new>", key=KEY, wall_s=40.0, non_finite=non_finite or {})
     record = RunRecord(

@@ -4,7 +4,7 @@ import json
 import resource
 import subprocess
 
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.kit.upstream import build_command, store_externals
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore

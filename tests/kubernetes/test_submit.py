@@ -113,12 +113,16 @@ def test_logs_are_those_of_the_stage_asked_for(kubectl):
 def test_rerun_forgets_the_stage_of_the_scene_and_runs_that_scene_again(store, kubectl):
     where = cluster()
     clusters.prepare(store, TOY, where, submission(TOY))
-    keys = {}
-    for scene in submission(TOY).scenes:
-        keys[scene.name] = clusters.record(store, TOY, submission(TOY, scenes=(scene,)))[0].nodes[0].key
+    runs = {
+        s.name: clusters.record(store, TOY, submission(TOY, scenes=(s,)))[0].nodes[0] for s in submission(TOY).scenes
+    }
+    keys = {scene: run.key for scene, run in runs.items()}
     assert keys["kitchen"] == keys["n"], "the same capture"
     made = {"capture": store.put(store.private_folder(), "source", Source(name="a", kind="folder"))}
-    store.commit(Record(key=keys["n"], stage="ingest@0.1.0", components={}, outputs=made, provenance={}, timings={}))
+    components = runs["n"].components
+    store.commit(
+        Record(key=keys["n"], stage="ingest@0.1.0", components=components, outputs=made, provenance={}, timings={})
+    )
     assert store.lookup(keys["n"]) is not None
     (name,) = clusters.rerun(store, TOY, where, "test", "ingest", ["n"])
     assert store.lookup(keys["n"]) is None

@@ -1,17 +1,20 @@
 """A stage behaves alike as a process and in a container: results, errors, signals, what is left behind."""
 
+import csv
 import itertools
 import json
 import os
 import time
+from pathlib import Path
 
 import pytest
 
 from inpaint3d.contracts.errors import RetryableError
 from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.stage import memory_bytes
 from inpaint3d.contracts.store import FolderStore, Record
-from inpaint3d.orchestrator.runners.container import STAGE_USER, take_over
+from inpaint3d.orchestrator.runners.container import STAGE_USER, Container, take_over
 from tests.conftest import Cli
 from tests.runners import PIPELINE, environment_of
 
@@ -161,15 +164,28 @@ def test_a_container_that_missed_the_first_sigterm_is_asked_again(engine, captur
     assert process.wait(timeout=30) == 143
 
 
+def test_a_path_with_a_comma_is_no_option_of_a_mount():
+    """Engines read a value of --mount as a line of CSV."""
+    scratch, held = Path('/a,readonly/"b"'), Path("/c,target=/etc")
+    container = Container("podman", "i", "sha256:0", "n", None, scratch, {"sha256:1": held}, cuda=False)
+    line = container.command()
+    mounts = list(csv.reader(value for option, value in itertools.pairwise(line) if option == "--mount"))
+    assert mounts == [
+        ["type=bind", f"source={scratch}", "target=/store"],
+        ["type=bind", f"source={held}", "target=/store/objects/1", "readonly"],
+    ]
+
+
 def test_what_a_container_left_is_believed_only_as_its_digests_say(tmp_path):
     scratch, store = FolderStore(tmp_path / "scratch"), FolderStore(tmp_path / "store")
     folder = scratch.private_folder()
     (folder / "raw").mkdir()
     (folder / "raw" / "a.txt").write_text("a")
     digest = scratch.put(folder, "source", Source(name="x", kind="folder"))
-    key = "sha256:" + "1" * 64
+    components = {"seed": 1}
+    key = digest_of(components)
     scratch.commit(
-        Record(key=key, stage="s@1", components={}, outputs={"capture": digest}, provenance={}, timings={})
+        Record(key=key, stage="s@1", components=components, outputs={"capture": digest}, provenance={}, timings={})
     )  # fmt: skip
     written = scratch.object_path(digest) / "raw" / "a.txt"
     written.chmod(0o644)

@@ -8,10 +8,12 @@ import pytest
 
 from inpaint3d.contracts.errors import RetryableError, StorageError
 from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.store import Record
 from inpaint3d.contracts.store.bucket import PART, BucketStore
 
-KEY = "sha256:" + "1" * 64
+COMPONENTS = {"seed": 1}
+KEY = digest_of(COMPONENTS)
 LARGE = 2 * PART + 1000
 
 
@@ -111,7 +113,7 @@ def test_what_is_cached_is_not_fetched_again_unless_it_was_damaged(store, networ
 
 def test_looking_a_result_up_moves_no_bulk(store, reader, network):
     digest = put(store, a=os.urandom(LARGE))
-    store.commit(Record(key=KEY, stage="s@1", components={}, outputs={"a": digest}, provenance={}, timings={}))
+    store.commit(Record(key=KEY, stage="s@1", components=COMPONENTS, outputs={"a": digest}, provenance={}, timings={}))
     network.heads.clear()
     assert reader.lookup(KEY) is not None
     assert sent(network, "get", "raw/") == []

@@ -1,5 +1,6 @@
 """What every store holds, be it a folder or a bucket; then what is a folder's alone (`test_bucket.py`: a bucket's)."""
 
+import errno
 import json
 import multiprocessing
 import os
@@ -10,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, StorageError, from_os_error
+from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, StorageError, find_os_error, from_os_error
 from inpaint3d.contracts.models.artifacts import Effect, EffectPlan, Source
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.manifest import MANIFEST, Manifest, read_metadata
-from inpaint3d.contracts.store import FolderStore, Record, key_path, object_file, open_store
+from inpaint3d.contracts.store import FolderStore, Record, key_path, object_file, open_store, this_process
 from inpaint3d.contracts.store.bucket import BucketStore
 
 PLAN = EffectPlan(
@@ -46,10 +48,11 @@ def put(store, text="hello"):
 
 
 def record(key, **outputs):
-    return Record(key=key, stage="s@0.1.0", components={}, outputs=outputs, provenance={}, timings={})
+    return Record(key=key, stage="s@0.1.0", components=COMPONENTS, outputs=outputs, provenance={}, timings={})
 
 
-KEY = "sha256:" + "1" * 64
+COMPONENTS = {"stage": "s@0.1.0", "seed": 1}
+KEY = digest_of(COMPONENTS)
 
 
 def test_what_is_put_can_be_opened_and_is_the_same(store):
@@ -230,14 +233,17 @@ def test_lock_dies_with_its_holder(folder_store):
         pass
 
 
-def test_private_folders_of_dead_processes_are_swept(folder_store):
-    mine = folder_store.private_folder()
-    dead = [folder_store.root / "tmp" / f"999999999-{x}" for x in "xy"]
-    dead[0].mkdir()
-    dead[1].touch()
+def test_what_processes_left_that_are_gone_is_swept_and_nothing_else(folder_store):
+    """A number of a process says nothing of another machine's, another namespace's, or after another boot."""
+    mine, here = folder_store.private_folder(), this_process()
+    gone = [here._replace(pid=999999999), here._replace(boot="00000000")]
+    at_work = [here._replace(host="elsewhere", pid=999999999), here._replace(namespace="0", pid=999999999)]
+    for owner in (*gone, *at_work):
+        (folder_store.root / "tmp" / f"{owner}-x").mkdir()
+        (folder_store.root / "tmp" / f"{owner}-y").touch()
     folder_store.sweep_tmp()
-    assert mine.is_dir()
-    assert not any(p.exists() for p in dead)
+    left = {p.name for p in (folder_store.root / "tmp").iterdir()}
+    assert left == {mine.name, *(f"{owner}-{x}" for owner in at_work for x in "xy")}
 
 
 def test_adopted_artifact_is_checked(store, tmp_path):
@@ -256,3 +262,119 @@ def test_adopted_artifact_is_checked(store, tmp_path):
 def test_a_place_that_is_no_store_is_a_configuration_error(place):
     with pytest.raises(ConfigurationError, match="s3://BUCKET/PREFIX"):
         open_store(place)
+
+
+OTHER = digest_of({"another": "key"})
+
+
+def test_records_that_are_swapped_are_nobodys(store):
+    first, second = put(store, "1"), put(store, "2")
+    store.commit(record(KEY, source=first))
+    store.commit(record(OTHER, source=second).model_copy(update={"components": {"another": "key"}}))
+    one, two = store.read(key_path(KEY)), store.read(key_path(OTHER))
+    store.write(key_path(KEY), two)
+    store.write(key_path(OTHER), one)
+    assert store.lookup(KEY) is store.lookup(OTHER) is None
+    assert len(store.names("quarantine")) == 2
+
+
+def test_every_flipped_bit_of_a_record_is_found(folder_store):
+    digest = put(folder_store)
+    folder_store.commit(record(KEY, source=digest))
+    good = folder_store.read(key_path(KEY))
+    for bit in range(8 * len(good)):
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(ArtifactError):
+            Record.decode(bytes(bad), KEY)
+    assert Record.decode(good, KEY).outputs == {"source": digest}
+
+
+def test_a_record_whose_components_give_another_key_is_refused():
+    forged = record(KEY).model_copy(update={"components": {"seed": 2}})
+    with pytest.raises(ArtifactError, match="its components do not give its key"):
+        Record.decode(forged.encode(), KEY)
+
+
+@pytest.mark.parametrize("data", [b"", b"[]", b"null", b'{"digest": 1}', b"[" * 100_000, b"\xff", b'{"digest": NaN}'])
+def test_what_is_no_record_is_put_away_and_said(store, capsys, data):
+    store.write(key_path(KEY), data)
+    assert store.lookup(KEY) is None
+    assert f"{key_path(KEY)}: not a record that this version writes" in capsys.readouterr().err
+    digest = put(store)
+    assert store.commit(record(KEY, source=digest)).outputs == {"source": digest}
+    assert store.lookup(KEY) is not None
+
+
+def test_junk_that_appears_before_a_commit_does_not_keep_it_from_being_one(store):
+    digest = put(store)
+    store.write(key_path(KEY), b"junk")
+    store.commit(record(KEY, source=digest))
+    assert store.lookup(KEY).outputs == {"source": digest}
+
+
+def test_what_lies_where_a_store_keeps_something_else_is_moved_away(folder_store, capsys):
+    (folder_store.root / "keys").mkdir()
+    (folder_store.root / key_path(KEY)).mkdir()
+    (folder_store.root / "work" / KEY.removeprefix("sha256:")).touch()
+    (folder_store.root / "locks" / KEY.removeprefix("sha256:")).symlink_to("/nowhere/at/all")
+    (folder_store.root / "locks" / "in-use").mkdir()
+    digest = put(folder_store)
+    folder_store.drop_object(digest)
+    folder_store.object_path(digest).write_text("a file")
+    with folder_store.shared(), folder_store.lock(KEY):
+        assert folder_store.lookup(KEY) is None
+        assert folder_store.work_folder(KEY).is_dir()
+        put(folder_store)
+        folder_store.commit(record(KEY, source=digest))
+    assert folder_store.lookup(KEY) is not None
+    assert capsys.readouterr().err.count("quarantine") == 4
+    assert len(folder_store.names("quarantine")) == 5
+
+
+def test_a_file_in_the_place_of_a_store_is_a_configuration_error(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "objects").touch()
+    for place in ("notes.txt", "half", "notes.txt/store"):
+        with pytest.raises(ConfigurationError, match="is a file where a store has a folder"):
+            open_store(str(tmp_path / place))
+
+
+@pytest.mark.parametrize(
+    ("mask", "folder", "file"), [(0o022, 0o755, 0o444), (0o002, 0o775, 0o444), (0o077, 0o700, 0o400)]
+)
+def test_what_is_stored_has_the_rights_that_the_umask_leaves(tmp_path, mask, folder, file):
+    before = os.umask(mask)
+    try:
+        store = FolderStore(tmp_path / "store")
+        digest = put(store)
+        store.commit(record(KEY, source=digest))
+    finally:
+        os.umask(before)
+    rights = {p: p.stat().st_mode & 0o777 for p in (store.root / "objects", *store.root.rglob("objects/*"))}
+    assert set(rights.values()) == {folder}
+    assert (store.object_path(digest) / "raw" / "a.txt").stat().st_mode & 0o777 == file
+    assert (store.root / key_path(KEY)).stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "says"),
+    [
+        (errno.ENOSPC, 5, "no space left"), (errno.EDQUOT, 5, "no space left"), (errno.EROFS, 5, "read-only"),
+        (errno.EACCES, 5, "no access"), (errno.EIO, 5, "the disk failed"), (errno.EMFILE, 75, "ulimit -n"),
+        (errno.ENOTDIR, 5, "move away"), (errno.ESTALE, 75, "run again"), (errno.ENOMSG, 1, "/x/y"),
+    ],
+)  # fmt: skip
+def test_errors_of_the_machine_are_told_apart(number, code, says):
+    error = from_os_error(OSError(number, os.strerror(number), "/x/y"))
+    assert (error.exit_code, says in str(error)) == (code, True)
+
+
+def test_an_error_of_the_machine_is_found_behind_what_a_library_made_of_it():
+    error = RuntimeError("cannot save")
+    error.__cause__ = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/x")
+    assert find_os_error(error).exit_code == 5
+    assert find_os_error(RuntimeError("IoError: No space left on device (os error 28)")).exit_code == 5
+    assert find_os_error(MemoryError()).exit_code == 75
+    assert find_os_error(RuntimeError("a bug")) is None

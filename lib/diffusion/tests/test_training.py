@@ -72,6 +72,24 @@ def test_channels_last_learns_the_same_and_resumes_exactly(shipped_like, picture
     assert [_step(resumed, picture) for _ in range(2)] == [_step(last, picture) for _ in range(2)]
 
 
+def test_damaged_checkpoints_are_never_gone_on_from(shipped_like, picture, tmp_path: Path) -> None:
+    """A flipped bit would be another result under the same key, a cut file an error for ever."""
+    path, state = tmp_path / "checkpoint.safetensors", begin(shipped_like, seed=0)
+    for _ in range(2):
+        _step(state, picture)
+        save_checkpoint(path, state)
+    data = bytearray(path.read_bytes())
+    data[-5] ^= 1
+    path.write_bytes(data)
+    resumed = begin(shipped_like, seed=0)
+    assert load_checkpoint(path, resumed)
+    assert resumed.step == 1, "the generation before"
+    (tmp_path / "checkpoint.previous.safetensors").write_bytes(data[:100])
+    anew = begin(shipped_like, seed=0)
+    assert not load_checkpoint(path, anew)
+    assert anew.step == 0
+
+
 def test_a_checkpoint_of_another_architecture_is_refused(shipped_like, paper_like, tmp_path: Path) -> None:
     save_checkpoint(tmp_path / "checkpoint.safetensors", begin(paper_like, seed=0))
     with pytest.raises(ValueError, match="another architecture"):

@@ -4,8 +4,10 @@ Exit codes are those of `inpaint3d.contracts.errors`: 0 done, 2 configuration, 3
 5 storage, 75 retryable, 143 stopped, 1 anything else.
 """
 
+import contextlib
 import dataclasses
 import json
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +23,7 @@ from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
-from inpaint3d.orchestrator.intake import list_scenes
+from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     STORE,
     AsJson,
@@ -32,10 +34,12 @@ from inpaint3d.orchestrator.options import (
     Name,
     PipelinePath,
     Places,
+    Replace,
     Request,
     Scene,
     SceneRequest,
     StorePath,
+    Wait,
     with_options,
 )
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, preview
@@ -43,9 +47,10 @@ from inpaint3d.orchestrator.progress import choose_display
 from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.request import ConfiguredRequest
 from inpaint3d.orchestrator.run import Scheduler
+from inpaint3d.orchestrator.run_folder import check_capture, own_folder
 from inpaint3d.orchestrator.runners.container import ContainerRunner, find_engine
 from inpaint3d.orchestrator.runners.process import ProcessRunner, Runner
-from inpaint3d.orchestrator.tables import show_nodes, show_scores
+from inpaint3d.orchestrator.tables import printable, show_nodes, show_scores
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
 
@@ -61,7 +66,11 @@ def main() -> None:
 
 
 def _fail(error: Inpaint3dError) -> None:
-    sys.stderr.write(f"inpaint3d: {error.kind}: {error}\n")
+    sys.stderr.write(printable(f"inpaint3d: {error.kind}: {error}\n"))
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # nobody reads it: what is left of it goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(error.exit_code)
 
 
@@ -82,6 +91,8 @@ def run(
     scene: Scene = None,
     engine: Engine = None,
     log_format: LogFormat = "auto",
+    wait: Wait = False,
+    replace: Replace = False,
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
     configured, store = ConfiguredRequest(request, selection), open_store(places.store)
@@ -89,9 +100,11 @@ def run(
     runner = ProcessRunner() if images is None else ContainerRunner(find_engine(engine), images)
     codes: list[int] = []
     for path, scene_name in list_scenes(capture, scene, name):
-        with store.shared():
+        folder = places.runs_dir / name_run(path, scene_name)
+        with own_folder(folder, wait=wait), store.shared():
             planner = configured.planner(store, path, scene_name, images)
-            record, code = _carry_out(planner, selection, places.runs_dir / planner.name, log_format, runner)
+            check_capture(planner, replace=replace)
+            record, code = _carry_out(planner, selection, folder, log_format, runner)
         codes.append(code)
         if record.status == "stopped":
             break  # whoever stopped this scene meant the others too
@@ -121,9 +134,9 @@ def evaluate_dataset(
     scores: list[SceneScore] = []
     codes: list[int] = []
     for path in found:
-        with store.shared():
-            planner = configured.planner(store, path, f"{dataset}-{path.name}")
-            results = places.runs_dir / planner.name
+        results = places.runs_dir / f"{dataset}-{path.name}"
+        with own_folder(results), store.shared():
+            planner = configured.planner(store, path, results.name)
             record, code = _carry_out(planner, Selection(), results, log_format, ProcessRunner())
         codes.append(code)
         scores.append(read_figures(path.name, read_report(results)) if code == 0 else SceneScore(path.name))
@@ -141,11 +154,20 @@ def _carry_out(
     """Run, leave results in the folder, say how it ended; the record and the exit code."""
     if left_out := planner.configured.left_out:
         said = ", ".join(f"{node} ({reason})" for node, reason in left_out.items())
-        sys.stderr.write(f"{planner.name}: left out: {said}\n")
+        _say(f"{planner.name}: left out: {said}")
     scheduler = Scheduler(planner, selection, choose_display(log_format, planner.pipeline.order), folder, runner)
-    record = scheduler.run()
+    try:
+        record = scheduler.run()
+    except BaseException:
+        with contextlib.suppress(Inpaint3dError, OSError):  # why the run ended counts, not what could not be shown
+            publish(planner.store, scheduler.record, folder)
+        raise
     publish(planner.store, record, folder)
     return record, _conclude(record, folder)
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(printable(line) + "\n")
 
 
 def _conclude(record: RunRecord, folder: Path) -> int:
@@ -154,15 +176,15 @@ def _conclude(record: RunRecord, folder: Path) -> int:
     failed = [n for n in record.nodes if n.status in ("failed", "waiting", "stopped")]
     if record.status == "done":
         what = f"ran {', '.join(ran)}" if ran else "nothing to be done: everything is up to date"
-        sys.stderr.write(f"{record.name}: {what}. Results: {folder}\n")
+        _say(f"{record.name}: {what}. Results: {folder}")
         return 0
     for node in failed:
-        sys.stderr.write(f"{record.name}: {node.node} {node.status}: {node.error}\n")
+        _say(f"{record.name}: {node.node} {node.status}: {node.error}")
     if failed:
         return max(n.exit_code or 1 for n in failed)
     blocked = [f"{n.node} ({n.reason})" for n in record.nodes if n.status == "pending"]
     repair = "run again to go on" if record.status == "stopped" else "run those first, or leave out --only and --from"
-    sys.stderr.write(f"{record.name}: {record.status}; not run: {', '.join(blocked)}; {repair}\n")
+    _say(f"{record.name}: {record.status}; not run: {', '.join(blocked)}; {repair}")
     return 143 if record.status == "stopped" else ConfigurationError.exit_code
 
 

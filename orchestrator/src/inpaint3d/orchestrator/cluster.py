@@ -98,7 +98,7 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
     for scene in submission.scenes:
         rows = _rows(store, configured, submission, scene)
         run = RunRecord(
-            id=f"{now:%Y%m%dT%H%M%S%f}-{secrets.token_hex(2)}",
+            id=History(store).new_id(scene.name),
             name=scene.name,
             pipeline=str(pipeline.path),
             preset=submission.preset,

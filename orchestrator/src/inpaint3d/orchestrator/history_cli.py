@@ -6,17 +6,19 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import comparison, housekeeping
-from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.history import History, is_killed
 from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, RunsPath, StorePath
 from inpaint3d.orchestrator.plan import find_pipeline
 from inpaint3d.orchestrator.publish import publish, read_report
-from inpaint3d.orchestrator.tables import show_nodes
+from inpaint3d.orchestrator.run_folder import own_folder
+from inpaint3d.orchestrator.tables import printable, show_nodes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -32,11 +34,11 @@ def why(name: str, stage: str, store: StorePath = STORE) -> None:
     found = [n for n in record.nodes if n.node == stage]
     if not found:
         raise ConfigurationError(f"no stage {stage} in {name}; there are {', '.join(n.node for n in record.nodes)}")
-    sys.stdout.write(f"{stage}: {found[0].status}: {found[0].reason}\n")
+    sys.stdout.write(printable(f"{stage}: {found[0].status}: {found[0].reason}\n"))
     for change in found[0].changes:
         sys.stdout.write(f"  {change.component}: {json.dumps(change.old)} -> {json.dumps(change.new)}\n")
     if found[0].error:
-        sys.stdout.write(f"  {found[0].error}\n")
+        sys.stdout.write(printable(f"  {found[0].error}\n"))
 
 
 def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
@@ -50,7 +52,14 @@ def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
     for r in records:
         counts = [sum(n.status == s for n in r.nodes) for s in ("done", "cached")]
         wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
-        table.add_row(r.name, r.started[:19], r.status, r.preset or "", wall, *map(str, counts))
+        table.add_row(
+            escape(printable(r.name)),
+            r.started[:19],
+            "killed" if is_killed(r) else r.status,
+            r.preset or "",
+            wall,
+            *map(str, counts),
+        )
     Console().print(table)
 
 
@@ -72,13 +81,25 @@ def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json
         Console().print(table)
 
 
-def verify(store: StorePath = STORE) -> None:
-    """Hash every artifact in the store; bad ones are put in quarantine and will be computed again."""
-    damaged = housekeeping.verify(open_store(store))
-    for line in damaged:
-        sys.stdout.write(line + "\n")
-    sys.stderr.write(f"{len(damaged)} damaged artifacts\n")
-    raise typer.Exit(3 if damaged else 0)
+def verify(
+    store: StorePath = STORE,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="put what is bad in quarantine, to be computed again")
+    ] = False,
+) -> None:
+    """Hash every artifact, key record and listing in the store, and say what is bad or gone.
+
+    Exit codes: 0 nothing bad, or all of it mended; 3 something bad is left.
+    """
+    found = list(housekeeping.find_damage(open_store(store)))
+    for damage in found:
+        sys.stdout.write(printable(damage.what) + "\n")
+        if repair and damage.mend is not None:
+            damage.mend()
+    left = [d for d in found if not repair or d.mend is None]
+    sys.stderr.write(f"{len(found)} damaged, {len(found) - len(left)} mended")
+    sys.stderr.write("; `inpaint3d verify --repair` mends what can be\n" if left and not repair else "\n")
+    raise typer.Exit(BadInputError.exit_code if left else 0)
 
 
 def compare(
@@ -107,7 +128,11 @@ def gc(
     keep: Annotated[int, typer.Option(min=1, help="runs to keep of each name")] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="only say what would go")] = False,
 ) -> None:
-    """Remove what no kept run needs: old artifacts, keys, checkpoints, quarantine."""
+    """Remove what no kept run needs: old artifacts, keys, checkpoints, quarantine.
+
+    Exit codes: 3 a run's record cannot be read, so that what it needs is not known; 75 a run is using the store.
+    Nothing is removed then.
+    """
     freed, count = housekeeping.collect(open_store(store), keep=keep, dry_run=dry_run)
     verb = "would free" if dry_run else "freed"
     sys.stdout.write(f"{verb} {freed / 2**20:.1f} MiB in {count} artifacts\n")
@@ -117,11 +142,13 @@ def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> N
     """Print what a stage's result in the last run of NAME was made from, back to the photos."""
     opened = open_store(store)
     for line in housekeeping.trace_lineage(opened, History(opened).latest(name), stage):
-        sys.stdout.write(line + "\n")
+        sys.stdout.write(printable(line) + "\n")
 
 
 def publish_again(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE) -> None:
     """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here."""
     opened = open_store(store)
-    publish(opened, History(opened).latest(name), runs_dir / name)
-    sys.stderr.write(f"{name}: results: {runs_dir / name}\n")
+    record = History(opened).latest(name)
+    with own_folder(runs_dir / name):
+        publish(opened, record, runs_dir / name)
+    sys.stderr.write(printable(f"{name}: results: {runs_dir / name}\n"))

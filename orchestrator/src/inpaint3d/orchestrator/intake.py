@@ -54,7 +54,7 @@ def _take_files(store: Store, name: str, metadata: Closed, root: Path, paths: li
 def take_mask_request(store: Store, path: Path) -> Digest:
     """A mask request, read from YAML and checked; ConfigurationError names the file and line."""
     request, _ = load_document(path, MaskRequest)
-    return store.put(store.private_folder(), "mask-request", MaskRequestArtifact(request=request))
+    return _take_files(store, "mask-request", MaskRequestArtifact(request=request), path.parent, [], "raw")
 
 
 def take_artifact(store: Store, path: Path, schema: str) -> Digest:

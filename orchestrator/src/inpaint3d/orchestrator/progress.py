@@ -8,8 +8,11 @@ from typing import Any, Protocol
 
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.progress_bar import ProgressBar
 from rich.table import Table
+
+from inpaint3d.orchestrator.tables import printable
 
 JSON_INTERVAL_S = 5.0
 
@@ -97,7 +100,9 @@ class LiveTable:
             eta = row.get("eta") if status == "running" else None
             left = "" if eta is None else f"{int(eta) // 60}:{int(eta) % 60:02d}"
             bar = row.get("bar", "") if status == "running" else ""
-            table.add_row(name, f"[{colours.get(status, 'dim')}]{status}[/]", bar, left, str(row["text"]))
+            table.add_row(
+                name, f"[{colours.get(status, 'dim')}]{status}[/]", bar, left, escape(printable(str(row["text"])))
+            )
         return table
 
 

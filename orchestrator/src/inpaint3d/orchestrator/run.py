@@ -4,8 +4,8 @@ import contextlib
 import datetime
 import os
 import queue
-import secrets
 import signal
+import tempfile
 import time
 from collections.abc import Generator
 from dataclasses import dataclass, field
@@ -20,9 +20,9 @@ from inpaint3d.contracts.errors import (
     RetryableError,
     WaitingError,
 )
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.report import NodeRun, RunRecord, Status
-from inpaint3d.contracts.store import Record
+from inpaint3d.contracts.store import Record, this_process
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.plan import Planner, Selection, Task, add_result
@@ -53,30 +53,63 @@ class Scheduler:
         self._events: queue.Queue[Event] = queue.Queue()
         self._chosen = set(self.selection.nodes(self.planner.pipeline))
         self._began = time.monotonic()
-        now = datetime.datetime.now(datetime.UTC)
+        self.planner.history.close_killed(self.planner.name)
         self.record = RunRecord(
-            id=f"{now:%Y%m%dT%H%M%S%f}-{secrets.token_hex(2)}",
+            id=self.planner.history.new_id(self.planner.name),
             name=self.planner.name,
             pipeline=str(self.planner.pipeline.path),
             preset=self.planner.configured.preset,
             externals=self.planner.externals,
             status="running",
-            started=now.isoformat(),
+            started=datetime.datetime.now(datetime.UTC).isoformat(),
+            process=str(this_process()),
             machine=this_machine(),
         )
 
     def run(self) -> RunRecord:
-        """Run what is selected; returns the record. Stops early where a stage fails, waits, or the run is told to."""
+        """Run what is selected; returns the record. Stops early where a stage fails, waits, or the run is told to.
+
+        However it ends, also by an exception, its stages have ended and its record says how.
+        """
         (self.folder / "logs").mkdir(parents=True, exist_ok=True)
+        try:
+            with self._signals(), tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
+                self._private = Path(private)
+                self._go_along()
+        except BrokenPipeError as error:
+            self._abort("stopped", gone := "nobody reads standard output any more")
+            raise InterruptedRun(gone) from error
+        except BaseException as error:
+            self._abort("failed", str(error) or type(error).__name__)
+            raise
+        return self._finish()
+
+    def _go_along(self) -> None:
         for row in self.planner.configured.left_out_rows():
             self.display.node(row.node, row.status, row.reason)
-        with self._signals():
-            while True:
-                progressed = self._settle()
-                if not self._running and not progressed:
-                    break
-                self._hear()
-        return self._finish()
+        while True:
+            progressed = self._settle()
+            if not self._running and not progressed:
+                break
+            self._hear()
+
+    def _abort(self, status: RunStatus, message: str) -> None:
+        """End the stages, and the record, of a run that an exception ends."""
+        for running in self._running.values():
+            running.stop()
+        for running in self._running.values():
+            running.wait()
+        with contextlib.suppress(OSError):  # what failed may be the display
+            self.display.close()
+        for node in self._running:
+            self._results[node] = self._node_run(self._tasks[node], "stopped").model_copy(update={"error": message})
+        self._running.clear()
+        self._add_missing()
+        self.record = self.record.model_copy(update={"error": message})
+        with contextlib.suppress(
+            OSError, Inpaint3dError
+        ):  # what failed may be the store: the next run closes the record
+            self._save(status, finished=True)
 
     def _settle(self) -> bool:
         """Look at every node whose inputs are known: take its stored result, or start it if there is room."""
@@ -130,7 +163,7 @@ class Scheduler:
         )
         log = self.folder / "logs" / f"{task.node}.log"
         self._running[task.node] = start(
-            task.node, self.runner, spec, self.planner.store, task.key, invocation, log, self._events
+            task.node, self.runner, spec, self.planner.store, task.key, invocation, log, self._private, self._events
         )
         self.display.node(task.node, "running", task.reason, threads=threads)
         self._save("running")
@@ -158,7 +191,10 @@ class Scheduler:
             self._accept(task, "done", record)
             return
         if code == 0:
-            message = "it committed under another key: its source was edited after the plan was made; run again"
+            message = (
+                "it ended well, but there is no result under its key: its source was edited after the plan was made, "
+                "or somebody removed the result; run again"
+            )
             self._close(task, "failed", error=message, exit_code=RetryableError.exit_code)
             return
         # A negative code is a signal's number: 128 + n is what a shell shows.
@@ -221,16 +257,20 @@ class Scheduler:
                 status = word
         if self._stopped:
             status = "stopped"
-        missing = [n for n in self.planner.pipeline.order if n not in self._results]
-        for node in missing:
-            waits_for = sorted(self.planner.pipeline.upstream(node) - set(self.planner.outputs))
-            what = "pending" if node in self._chosen else "skipped"
-            self._results[node] = NodeRun(node=node, status=what, reason=f"after {', '.join(waits_for)}")
+        self._add_missing()
         if status == "done" and any(self._results[n].status in ("pending", "skipped") for n in self._chosen):
             status = "failed"
         self._save(status, finished=True)
         self.display.close()
         return self.record
+
+    def _add_missing(self) -> None:
+        """Nodes that never had their turn."""
+        missing = [n for n in self.planner.pipeline.order if n not in self._results]
+        for node in missing:
+            waits_for = sorted(self.planner.pipeline.upstream(node) - set(self.planner.outputs))
+            what = "pending" if node in self._chosen else "skipped"
+            self._results[node] = NodeRun(node=node, status=what, reason=f"after {', '.join(waits_for)}")
 
     def _save(self, status: RunStatus, *, finished: bool = False) -> None:
         ordered = [self._results[n] for n in self.planner.pipeline.order if n in self._results]
@@ -244,7 +284,7 @@ class Scheduler:
 
     @contextlib.contextmanager
     def _signals(self) -> Generator[None]:
-        """SIGINT and SIGTERM stop the stages, which keep their checkpoints; a second one leaves at once."""
+        """SIGINT, SIGTERM and SIGHUP stop the stages, which keep their checkpoints; a second one leaves at once."""
 
         def stop(number: int, _frame: object) -> None:
             if self._stopped:
@@ -253,7 +293,7 @@ class Scheduler:
             for running in self._running.values():
                 running.stop()
 
-        before = {s: signal.signal(s, stop) for s in (signal.SIGTERM, signal.SIGINT)}
+        before = {s: signal.signal(s, stop) for s in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
         try:
             yield
         finally:

@@ -5,7 +5,7 @@
     ├── BadInputError             3   the data cannot work, or an artifact is not what its schema says
     │   └── ArtifactError             an artifact is missing, damaged or malformed
     ├── WaitingError              4   a person has to do something first (author a mask)
-    ├── StorageError              5   the disk is full or the store cannot be written
+    ├── StorageError              5   the disk is full or fails, or the store cannot be written
     ├── RetryableError           75   try again: the same inputs may work (sysexits EX_TEMPFAIL)
     └── InterruptedRun          143   stopped by SIGTERM or SIGINT; work so far is kept
 
@@ -13,6 +13,7 @@ Nothing ever parses a log to learn what went wrong.
 """
 
 import errno
+import os
 from typing import ClassVar
 
 
@@ -76,6 +77,10 @@ MEANINGS: dict[str, str] = {
 """What every stage's exit codes mean, where its stage.yaml does not say more."""
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
+_TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
+_NO_FOLDER = (errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
+_NO_ANSWER = (errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN)
 
 
 def from_os_error(error: OSError) -> Inpaint3dError:
@@ -83,6 +88,39 @@ def from_os_error(error: OSError) -> Inpaint3dError:
     where = error.filename2 or error.filename or "the store"  # of a copy, the file that could not be written
     if error.errno in _DISK_FULL:
         return StorageError(f"no space left writing {where}; free some (inpaint3d gc helps) and run again")
-    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+    if error.errno == errno.EROFS:
+        return StorageError(f"{where} lies on a read-only file system; mount it writable, or give another --store")
+    if error.errno in _READ_ONLY:
         return StorageError(f"no access to {where}: {error.strerror}; check its permissions")
+    if error.errno == errno.EIO:
+        return StorageError(f"the disk failed at {where}: {error.strerror}; check it, then `inpaint3d verify --repair`")
+    if error.errno in _TOO_MANY_FILES:
+        return RetryableError(f"too many open files at {where}: {error.strerror}; raise `ulimit -n` and run again")
+    if error.errno in _NO_FOLDER:
+        return StorageError(f"{where}: {error.strerror}; move away what is in its place and run again")
+    if error.errno in _NO_ANSWER:
+        return RetryableError(f"{where}: {error.strerror}; run again when its file system answers")
     return Inpaint3dError(f"{where}: {error.strerror or error}")
+
+
+def find_os_error(error: BaseException) -> Inpaint3dError | None:
+    """The tree's word for an error of the machine behind an exception: in its chain, or told by its text alone.
+
+    Libraries in other languages say what the system said in words: `No space left on device (os error 28)`.
+    """
+    link: BaseException | None = error
+    while link is not None:
+        if isinstance(link, MemoryError):
+            return RetryableError("no memory left; give the machine more, or run fewer stages at once, and run again")
+        number = link.errno if isinstance(link, OSError) else _number_in(str(link))
+        if number is not None:
+            found = link if isinstance(link, OSError) else OSError(number, os.strerror(number))
+            if (known := from_os_error(found)).exit_code != Inpaint3dError.exit_code:
+                return known
+        link = link.__cause__ or link.__context__
+    return None
+
+
+def _number_in(text: str) -> int | None:
+    told = (*_DISK_FULL, errno.EROFS, errno.EIO, *_TOO_MANY_FILES)
+    return next((number for number in told if os.strerror(number) in text), None)

@@ -5,7 +5,6 @@ resumed draws what the unbroken one would have.
 """
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from jaxtyping import Float
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from inpaint3d.contracts.kit.checkpoints import OPEN_SEAL, find_checkpoint, write_checkpoint
 from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
 from inpaint3d.diffusion.denoiser import Image, Mask
@@ -193,16 +193,19 @@ def save_checkpoint(path: Path, state: TrainingState) -> None:
     tensors["step"] = torch.tensor(state.step)
     tensors["curve"] = torch.tensor(state.curve, dtype=torch.float64).reshape(-1, 3)
     tensors["pending"] = torch.tensor(state.pending, dtype=torch.float64)
-    partial = path.with_suffix(".partial")
-    save_file({name: value.detach().contiguous() for name, value in tensors.items()}, partial)
-    with partial.open("rb") as file:
-        os.fsync(file.fileno())
-    partial.replace(path)
+    written = {name: value.detach().contiguous() for name, value in tensors.items()}
+    write_checkpoint(path, lambda staged: save_file(written, staged, metadata=OPEN_SEAL))
 
 
-def load_checkpoint(path: Path, state: TrainingState) -> None:
-    """Put `state` back to where the checkpoint was taken; its spec must be the same (ValueError otherwise)."""
-    tensors = load_file(path)
+def load_checkpoint(path: Path, state: TrainingState) -> bool:
+    """Put `state` back to where the newest whole checkpoint was taken; False where there is none.
+
+    Its spec must be the same (ValueError otherwise).
+    """
+    found = find_checkpoint(path)
+    if found is None:
+        return False
+    tensors = load_file(found)
     try:
         state.prior.load_state_dict(_under(tensors, "prior."))
         state.average.load_state_dict(_under(tensors, "average."))
@@ -220,6 +223,7 @@ def load_checkpoint(path: Path, state: TrainingState) -> None:
     state.step = int(tensors["step"])
     state.curve = [(int(step), loss, held_out) for step, loss, held_out in tensors["curve"].tolist()]
     state.pending = tensors["pending"].tolist()
+    return True
 
 
 def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -6,6 +6,7 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from inpaint3d.contracts.kit.checkpoints import OPEN_SEAL, find_checkpoint, write_checkpoint
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.optim import Adam
 
@@ -25,18 +26,18 @@ def save_checkpoint(
     for name, parameter in field.named_parameters():
         m, v = optimizer.moments(parameter)
         state |= {f"field.{name}": parameter.detach(), f"m.{name}": m, f"v.{name}": v}
-    staged = path.with_suffix(".new")
-    save_file({name: tensor.cpu().contiguous() for name, tensor in state.items()}, staged)
-    staged.replace(path)
+    tensors = {name: tensor.cpu().contiguous() for name, tensor in state.items()}
+    write_checkpoint(path, lambda staged: save_file(tensors, staged, metadata=OPEN_SEAL))
 
 
 def load_checkpoint(
     path: Path, field: RadianceField, optimizer: Adam, generator: torch.Generator
 ) -> dict[str, Tensor] | None:
-    """Put everything back and return the `extra` tensors; None where there is no checkpoint."""
-    if not path.exists():
+    """Put everything back and return the `extra` tensors; None where there is no whole checkpoint."""
+    found = find_checkpoint(path)
+    if found is None:
         return None
-    state = load_file(path)
+    state = load_file(found)
     generator.set_state(state["generator"])
     optimizer.steps = int(state["steps"])
     with torch.no_grad():

@@ -15,7 +15,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.manifest import first_error, is_compatible
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.emit.argo import LABEL, LEFT_OUT, PRESET, check_types

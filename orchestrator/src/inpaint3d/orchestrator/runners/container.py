@@ -7,10 +7,13 @@ key's checkpoints, so that a run that was killed goes on from them.
 """
 
 import argparse
+import csv
+import io
 import json
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -21,12 +24,14 @@ from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, RetryableError, from_os_error
 from inpaint3d.contracts.kit.code import IMAGE_DIGEST
-from inpaint3d.contracts.kit.shim import GRACE_S, Invocation, die_with_parent
+from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
+from inpaint3d.contracts.kit.shim import GRACE_S, die_with_parent
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.cluster import Image
 from inpaint3d.contracts.models.stage import StageSpec, memory_bytes
 from inpaint3d.contracts.store import FolderStore, Store, hex_of, open_store
+from inpaint3d.contracts.store.workspace import remove
 
 ENGINES = ("podman", "docker")
 STAGE_USER = 10001
@@ -34,7 +39,7 @@ STAGE_USER = 10001
 SCRATCH, INVOCATION = "/store", "invocation.json"
 ENGINE_FAILED = (125, 126, 127)
 """Exit codes that are the engine's own: it could not start the container."""
-OPEN_FOLDER = 0o755
+OPEN_FOLDER, OPEN_FILE = 0o555, 0o444
 
 
 @dataclass(frozen=True)
@@ -85,10 +90,10 @@ class Container:
             "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--security-opt", "label=disable",
             *_user(self.engine),
             "--env", f"{IMAGE_DIGEST}={self.digest}", "--env", "PYTHONUNBUFFERED=1",
-            "--mount", f"type=bind,source={self.scratch},target={SCRATCH}",
+            "--mount", _bind(self.scratch, SCRATCH),
         ]  # fmt: skip
         for digest, folder in self.inputs.items():
-            options += ["--mount", f"type=bind,source={folder},target={SCRATCH}/objects/{hex_of(digest)},readonly"]
+            options += ["--mount", _bind(folder, f"{SCRATCH}/objects/{hex_of(digest)}", "readonly")]
         if self.memory is not None:  # swap is counted in it: a stage that needs more is to end, not to crawl
             options += ["--memory", f"{self.memory}b", "--memory-swap", f"{self.memory}b"]
         if self.cuda:
@@ -120,6 +125,13 @@ class Container:
         subprocess.run([self.engine, *line], capture_output=True, check=False)
 
 
+def _bind(source: Path, target: str, *flags: str) -> str:
+    """A value of `--mount`, which engines read as a line of CSV: a path may hold a comma or a quote."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="").writerow(["type=bind", f"source={source}", f"target={target}", *flags])
+    return line.getvalue()
+
+
 def _user(engine: str) -> list[str]:
     """Files are written as whoever runs this; root's containers are nobody's, whom the scratch then belongs to."""
     if os.getuid() == 0:
@@ -133,7 +145,10 @@ def contained(store: Store, key: Digest, invocation: Invocation, container: argp
     with store.shared(), store.lock(key):
         if store.lookup(key) is not None:
             return 0
-        scratch = FolderStore(store.work_folder(key) / "store")
+        place = store.work_folder(key) / "store"
+        if not place.is_dir():  # a run that was killed left nothing else there
+            remove(place)
+        scratch = FolderStore(place)
         code = Container(
             engine=container.engine,
             image=container.image,
@@ -159,7 +174,7 @@ def _furnish(scratch: Store, store: Store, invocation: Invocation) -> dict[Diges
     given = [d for ds in invocation.inputs.values() for d in ([ds] if isinstance(ds, str) else ds)]
     inputs = {digest: store.fetch(digest) for digest in given}
     for digest, folder in inputs.items():
-        folder.chmod(OPEN_FOLDER)  # its files may be read by all, but a private folder was made for one
+        _open_to_all(folder)
         scratch.object_path(digest).mkdir(exist_ok=True)
     # Its parent is another in there.
     request = invocation.model_copy(update={"die_with_parent": False})
@@ -168,6 +183,14 @@ def _furnish(scratch: Store, store: Store, invocation: Invocation) -> dict[Diges
         for path in (scratch.root, *scratch.root.rglob("*")):
             os.chown(path, STAGE_USER, STAGE_USER, follow_symlinks=False)
     return inputs
+
+
+def _open_to_all(folder: Path) -> None:
+    """Let a container's user, who is nobody here, read an artifact, where the umask did not."""
+    for path in (folder, *folder.rglob("*")):
+        mode = stat.S_IMODE(path.stat().st_mode)
+        if (wanted := mode | (OPEN_FOLDER if path.is_dir() else OPEN_FILE)) != mode:
+            path.chmod(wanted)
 
 
 def take_over(scratch: Store, store: Store, key: Digest) -> None:
@@ -190,7 +213,7 @@ def main() -> None:
     parser.add_argument("--memory", type=int)
     given = parser.parse_args()
     try:
-        invocation = Invocation.model_validate_json(given.invocation.read_bytes())
+        invocation = load_invocation(given.invocation)
         if invocation.die_with_parent:
             die_with_parent()
         sys.exit(contained(open_store(given.store), given.key, invocation, given))

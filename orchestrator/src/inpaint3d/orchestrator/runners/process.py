@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
+from inpaint3d.contracts.kit.shim import GRACE_S
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Store
@@ -50,6 +51,14 @@ class RunningStage:
         if self.process.poll() is None:
             self.process.terminate()
 
+    def wait(self) -> None:
+        """Until it has ended; what does not stop in time is killed."""
+        try:
+            self.process.wait(timeout=3 * GRACE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
 
 def start(
     node: str,
@@ -59,10 +68,14 @@ def start(
     key: Digest,
     invocation: Invocation,
     log: Path,
+    private: Path,
     events: "queue.Queue[Event]",
 ) -> RunningStage:
-    """Start a stage; what it says arrives in `events`, what it prints in `log`."""
-    request = log.with_suffix(".invocation.json").resolve()
+    """Start a stage; what it says arrives in `events`, what it prints in `log`.
+
+    private: the run's own folder, where what is asked of the stage is left for as long as the run lasts.
+    """
+    request = private / f"{node}.invocation.json"
     request.write_text(invocation.model_dump_json())
     line = runner.command(spec, store, key, request)
     with log.open("w") as errors:

@@ -1,19 +1,21 @@
 """What a stage is given to work with: its inputs, its outputs, and the context of the run."""
 
 import json
+import math
 import os
 import resource
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
-from inpaint3d.contracts.errors import ArtifactError, InterruptedRun
+from inpaint3d.contracts.errors import ArtifactError, ConfigurationError, InterruptedRun
 from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.canonical import canonical_json
 from inpaint3d.contracts.models.manifest import is_compatible
 from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.contracts.store.workspace import remove
 
 M = TypeVar("M", bound=Closed)
 
@@ -26,6 +28,8 @@ class Inputs:
 
     def __init__(self, store: Store, spec: StageSpec, digests: Mapping[str, Digest | list[Digest]]) -> None:
         self._store, self._spec, self._digests = store, spec, digests
+        self.opened: dict[str, Path] = {}
+        """Port -> where the artifacts that were read lie, for telling whose data an error is about."""
 
     def one(self, port: str, model: type[M]) -> Artifact[M]:
         """The artifact at a port; ArtifactError where it is missing or of another schema."""
@@ -51,7 +55,9 @@ class Inputs:
         written = self._store.manifest(digest).schema_id
         if not is_compatible(written, wanted):
             raise ArtifactError(f"{self._spec.id}: its input {port} takes {wanted}, got {written} ({digest})")
-        return self._store.open(digest, model)
+        artifact = self._store.open(digest, model)
+        self.opened[port] = artifact.root
+        return artifact
 
 
 class Outputs:
@@ -86,6 +92,11 @@ class Outputs:
             port: self._store.put(self._folders[port], declared[port].schema_id.partition("@")[0], metadata)
             for port, metadata in self._written.items()
         }
+
+    def discard(self) -> None:
+        """Give back the space of what was begun and will not be stored."""
+        for folder in self._folders.values():
+            remove(folder)
 
 
 class Emit(Protocol):
@@ -125,7 +136,10 @@ class Context:
         """Append a row with the wall and CPU seconds so far to a series of the sidecar."""
         wall, cpu = self.elapsed()
         line = {"series": series, **row, "wall_s": round(wall, 3), "cpu_s": round(cpu, 3)}
-        with (self.work / "series.jsonl").open("ab") as file:
+        path = self.work / "series.jsonl"
+        if path.is_dir():
+            remove(path)
+        with path.open("ab") as file:
             file.write(canonical_json(line) + b"\n")
 
     def elapsed(self) -> tuple[float, float]:
@@ -150,26 +164,40 @@ class Context:
         """The recorded rows. After a kill some steps were done twice: the later row counts."""
         path = self.work / "series.jsonl"
         series: dict[str, dict[Any, dict[str, Any]]] = {}
-        for i, line in enumerate(path.read_bytes().splitlines() if path.exists() else []):
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:  # the line that a kill cut short
-                continue
-            series.setdefault(row.pop("series"), {})[row.get("step", i)] = row
+        for i, line in enumerate(path.read_bytes().splitlines() if path.is_file() else []):
+            if (row := _read_row(line)) is not None:
+                series.setdefault(row.pop("series"), {})[row.get("step", i)] = row
         return {name: list(rows.values()) for name, rows in series.items()}
 
     def _load_clock(self) -> tuple[float, float]:
         try:
-            wall, cpu = json.loads((self.work / "clock.json").read_text())
-        except (OSError, ValueError):
+            wall, cpu = (float(seconds) for seconds in json.loads((self.work / "clock.json").read_text()))
+        except (OSError, ValueError, TypeError, RecursionError):
             return (0.0, 0.0)
-        return float(wall), float(cpu)
+        return (wall, cpu) if 0 <= wall < math.inf and 0 <= cpu < math.inf else (0.0, 0.0)
 
     def _save_clock(self, now: float) -> None:
         self._last_clock = now
         staged = self.work / "clock.json.new"
         staged.write_text(json.dumps(self.elapsed()))
-        staged.replace(self.work / "clock.json")
+        clock = self.work / "clock.json"
+        if clock.is_dir():
+            remove(clock)
+        staged.replace(clock)
+
+
+def _read_row(line: bytes) -> dict[str, Any] | None:
+    """A row of a series; None for a line that a kill cut short, or that is none of ours."""
+    try:
+        row = json.loads(line)
+        canonical_json(row)
+    except (ValueError, ConfigurationError, RecursionError):
+        return None
+    if not isinstance(row, dict):
+        return None
+    named = cast(dict[str, Any], row)
+    hashable = isinstance(named.get("step", 0), int | float | str)
+    return named if isinstance(named.get("series"), str) and hashable else None
 
 
 def _measure_cpu_s() -> float:

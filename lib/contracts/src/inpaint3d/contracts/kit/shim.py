@@ -18,48 +18,29 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, TextIO, TypeVar
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import ValidationError
 
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, from_os_error
+from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, find_os_error, from_os_error
+from inpaint3d.contracts.kit.blame import find_fault
 from inpaint3d.contracts.kit.code import code_digest, save_code
-from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.contracts.kit.context import Context, Emit, Inputs, Outputs
+from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.kit.keys import key_components, run_key
 from inpaint3d.contracts.kit.provenance import describe_provenance
-from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.manifest import first_error
 from inpaint3d.contracts.models.stage import StageSpec, load_stage
 from inpaint3d.contracts.store import Record, Store, open_store
 
+T = TypeVar("T")
+
 STAGE_YAML = "INPAINT3D_STAGE_YAML"
 GRACE_S = 10.0
 PR_SET_PDEATHSIG = 1
-
-
-class Invocation(Closed):
-    """What to run: everything that the key is taken over, and what it does not depend on."""
-
-    parameters: dict[str, Any] = {}
-    inputs: dict[str, Digest | list[Digest]] = {}
-    seed: int = 0
-    device: str = "cpu"
-    threads: int = Field(default=2, ge=1)
-    stub: bool = False
-    die_with_parent: bool = False
-
-    @field_validator("inputs", mode="before")
-    @classmethod
-    def _drop_absent(cls, inputs: dict[str, Any]) -> dict[str, Any]:
-        """A manifest has no way to leave an input out: what an optional output did not give is empty there."""
-        present: dict[str, Any] = {}
-        for port, given in inputs.items():
-            found = [d for d in cast(list[Any], given) if d] if isinstance(given, list) else given
-            if found:
-                present[port] = found
-        return present
 
 
 def main() -> None:
@@ -145,25 +126,52 @@ def _run(
         events.flush()
 
     config = config_of(module, spec, invocation.parameters)
-    work = store.work_folder(key)
-    ctx = Context(seed=invocation.seed, device=invocation.device, threads=invocation.threads, work=work, emit=emit)
-    inputs, outputs = Inputs(store, spec, invocation.inputs), Outputs(store, spec)
-    started = datetime.datetime.now(datetime.UTC)
     method = _import_method(module, stub=invocation.stub)
-    with _stop_on_signals(ctx):
-        method(config, inputs, outputs, ctx)
-        produced = outputs.store_all()
+    started = datetime.datetime.now(datetime.UTC)
+
+    def attempt() -> tuple[dict[str, Digest], dict[str, Any]]:
+        work = store.work_folder(key)
+        ctx = Context(seed=invocation.seed, device=invocation.device, threads=invocation.threads, work=work, emit=emit)
+        inputs, outputs = Inputs(store, spec, invocation.inputs), Outputs(store, spec)
+        try:
+            with _stop_on_signals(ctx):
+                method(config, inputs, outputs, ctx)
+                return outputs.store_all(), ctx.timings()
+        except Exception as error:
+            outputs.discard()
+            if not isinstance(error, Inpaint3dError) and (fault := find_fault(error, inputs.opened)) is not None:
+                traceback.print_exc()
+                raise fault from error
+            raise
+
+    produced, timings = _attempt_anew(attempt, store, key, emit)
     record = Record(
         key=key,
         stage=spec.id,
         components=components,
         outputs=produced,
         provenance=describe_provenance(spec, key, components, produced, started),
-        timings=ctx.timings(),
+        timings=timings,
     )
     record = store.commit(record)
     store.drop_work(key)
     return record
+
+
+def _attempt_anew(attempt: Callable[[], T], store: Store, key: Digest, emit: Emit) -> T:
+    """The result of an attempt; where it fails on what an earlier one left, of one more that starts from nothing."""
+    resumed = any(store.work_folder(key).iterdir())
+    try:
+        return attempt()
+    except Inpaint3dError:
+        raise
+    except Exception:
+        if not resumed:
+            raise
+        traceback.print_exc()
+        emit("log", message="it failed on what an earlier run had left, which is in quarantine now; it starts anew")
+        store.abandon_work(key)
+    return attempt()
 
 
 def config_of(module: str, spec: StageSpec, parameters: dict[str, Any]) -> Any:
@@ -193,7 +201,7 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
         events.flush()
 
     try:
-        invocation = Invocation.model_validate_json(invocation_file.read_bytes())
+        invocation = load_invocation(invocation_file)
         if invocation.die_with_parent:
             die_with_parent()
         announce_threads(invocation.threads)
@@ -204,10 +212,9 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
         failure, trace = error, None
     except OSError as error:
         failure, trace = from_os_error(error), traceback.format_exc()
-    except ValidationError as error:
-        failure, trace = ConfigurationError(f"{invocation_file}: {first_error(error)}"), None
     except Exception as error:  # the last resort: a bug becomes exit code 1 with its traceback
-        failure, trace = Inpaint3dError(f"{type(error).__name__}: {error}"), traceback.format_exc()
+        failure = find_os_error(error) or Inpaint3dError(f"{type(error).__name__}: {error}")
+        trace = traceback.format_exc()
     else:
         say("done", key=record.key, outputs=record.outputs)
         return 0

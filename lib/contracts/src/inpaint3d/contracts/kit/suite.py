@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import pytest
 
 from inpaint3d.contracts.kit.context import Inputs
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.kit.upstream import Result, Upstream, build_command, invoke
 from inpaint3d.contracts.models.artifacts import SCHEMAS, Source
 from inpaint3d.contracts.models.base import Digest

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from inpaint3d.contracts.kit.shim import Invocation
+from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.artifacts import MaskRequestArtifact, Source
 from inpaint3d.contracts.models.artifacts.masks import MaskRequest
 from inpaint3d.contracts.models.base import Digest

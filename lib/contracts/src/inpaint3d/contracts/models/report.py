@@ -1,11 +1,14 @@
 """`runs/NAME/metrics.json` and the record of a run: what ran, why, how long, and what came out."""
 
-from typing import Annotated, Any, Literal
+import json
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field
 
+from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts.results import Protocol
 from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.canonical import digest_of
 
 Status = Literal["cached", "done", "failed", "waiting", "stopped", "skipped", "pending", "left-out"]
 
@@ -61,8 +64,35 @@ class RunRecord(Closed):
     started: str
     finished: str | None = None
     wall_s: float | None = None
+    error: str | None = Field(default=None, description="why the run itself ended early, where no node says it")
+    process: str | None = Field(default=None, description="what runs it, or ran it: `store.Owner`")
     machine: Machine
     nodes: tuple[NodeRun, ...] = ()
+
+    def encode(self) -> bytes:
+        """The file's bytes: JSON with the digest of all the rest in it."""
+        body = self.model_dump(mode="json")
+        return json.dumps({"digest": digest_of(body), **body}, indent=1).encode()
+
+    @classmethod
+    def decode(cls, data: bytes) -> "RunRecord":
+        """The record that a file is; ValueError where it was damaged, or has what this version does not know."""
+        return cls.model_validate(read_run_document(data))
+
+
+def read_run_document(data: bytes) -> dict[str, Any]:
+    """What a run's record says, in whatever version; ValueError where it is none or does not hash to its digest."""
+    try:
+        value = json.loads(data)
+        if not isinstance(value, dict):
+            raise ValueError("it is no mapping")
+        body = cast(dict[str, Any], value)
+        digest = body.pop("digest", None)
+        if digest is not None and digest != digest_of(body):
+            raise ValueError("it does not hash to its digest")
+    except (RecursionError, ConfigurationError) as error:
+        raise ValueError("it is no JSON") from error
+    return body
 
 
 class StageFigures(Closed):

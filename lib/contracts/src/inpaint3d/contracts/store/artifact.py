@@ -1,5 +1,6 @@
 """What a store holds: artifacts, and the records of the runs that made them. Also artifacts outside any store."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -8,7 +9,7 @@ from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ArtifactError, ConfigurationError
 from inpaint3d.contracts.models.base import Closed, Digest
-from inpaint3d.contracts.models.canonical import file_digest
+from inpaint3d.contracts.models.canonical import canonical_json, digest_of, file_digest
 from inpaint3d.contracts.models.manifest import MANIFEST, Manifest, first_error, is_compatible, read_metadata
 
 M = TypeVar("M", bound=Closed)
@@ -41,6 +42,29 @@ class Record(Closed):
     provenance: dict[str, Any]
     timings: dict[str, Any]
 
+    def encode(self) -> bytes:
+        """The file's bytes: the record's canonical JSON, with the digest of all the rest in it."""
+        body = self.model_dump(mode="json")
+        return canonical_json({"digest": digest_of(body), **body})
+
+    @classmethod
+    def decode(cls, data: bytes, key: Digest) -> "Record":
+        """The record of a key, every byte of it as `encode` wrote it. ArtifactError says what is wrong with it."""
+        try:
+            body = json.loads(data)
+            body.pop("digest")
+            record = cls.model_validate(body)
+            written = record.encode()
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError, ConfigurationError) as error:
+            raise ArtifactError("not a record that this version writes") from error
+        if written != data:
+            raise ArtifactError("changed since it was written: it does not hash to its digest")
+        if record.key != key:
+            raise ArtifactError(f"the record of another key, {record.key}")
+        if digest_of(record.components) != key:
+            raise ArtifactError("its components do not give its key")
+        return record
+
 
 def load_manifest(folder: Path, schema: str) -> Manifest:
     """The manifest of an artifact in a folder of its own, outside any store; its files are not looked at.
@@ -68,7 +92,7 @@ def find_folder_damage(root: Path, digest: Digest) -> str | None:
     """What is wrong with an artifact's folder (bytes against its digest), or None."""
     try:
         manifest = parse_manifest((root / MANIFEST).read_bytes(), str(root / MANIFEST))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return f"{root / MANIFEST} is missing"
     except ArtifactError as error:
         return str(error)
@@ -106,6 +130,11 @@ def object_file(digest: Digest, relative: str) -> str:
 def key_path(key: Digest) -> str:
     """Where a store keeps the record of a key."""
     return f"keys/{hex_of(key)}.json"
+
+
+def key_of(name: str) -> Digest:
+    """The key whose record a file below `keys/` is."""
+    return f"sha256:{name.removesuffix('.json')}"
 
 
 def hex_of(digest: Digest) -> str:

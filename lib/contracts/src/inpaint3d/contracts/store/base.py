@@ -1,9 +1,9 @@
 """The content-addressed store: artifacts by digest, results by key, visible whole or not at all.
 
     objects/DIGEST/         an artifact: artifact.json and its files, read-only once there
-    keys/KEY.json           the commit point: key -> output digests, components, provenance, times. Immutable
+    keys/KEY.json           the commit point: key -> output digests, components, provenance, times, its own digest
     code/DIGEST.json        the source files behind a `code` component, each with its digest. Immutable
-    work/KEY/               checkpoints of a run that has not committed yet
+    work/KEY/               checkpoints of a run that has not committed yet; work/KEY.owner: whose
     runs/NAME/ID.json       records of runs
     tmp/  locks/  quarantine/
 
@@ -20,20 +20,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
-from pydantic import ValidationError
-
 from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.base import Closed, Digest
-from inpaint3d.contracts.models.canonical import canonical_json
 from inpaint3d.contracts.models.manifest import MANIFEST, Manifest, build_manifest, describe_files, read_metadata
-from inpaint3d.contracts.store.artifact import Artifact, Record, key_path, object_file, parse_manifest
-from inpaint3d.contracts.store.workspace import Workspace
+from inpaint3d.contracts.store.artifact import Artifact, Record, key_of, key_path, object_file, parse_manifest
+from inpaint3d.contracts.store.workspace import Workspace, note
 
 M = TypeVar("M", bound=Closed)
 
 
 class Store(Workspace, abc.ABC):
     """What every store does. Safe for many processes."""
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether anything can be written here, as far as can be told without trying."""
+        return True
 
     @abc.abstractmethod
     def read(self, path: str) -> bytes | None:
@@ -127,25 +129,36 @@ class Store(Workspace, abc.ABC):
 
     def commit(self, record: Record) -> Record:
         """Make a result visible. The first writer of a key wins; everybody gets the winner's record."""
-        data = canonical_json(record.model_dump(mode="json"))
-        self.create(key_path(record.key), data)
-        return Record.model_validate_json(self.read(key_path(record.key)) or data)
+        if self.create(key_path(record.key), record.encode()):
+            return record
+        # What stands there instead of a record must not keep a result from being committed.
+        if (winner := self._read_record(record.key)) is not None:
+            return winner
+        self.create(key_path(record.key), record.encode())
+        return self._read_record(record.key) or record
 
     def lookup(self, key: Digest, *, verify: bool = True) -> Record | None:
         """The committed result of a key, if all its outputs are whole; else None, and what is bad is put away."""
-        if (data := self.read(key_path(key))) is None:
+        if (record := self._read_record(key)) is None:
             return None
-        try:
-            record = Record.model_validate_json(data)
-        except ValidationError:
-            self.retire(key_path(key))
-            return None
-        for digest in record.outputs.values():
+        for port, digest in record.outputs.items():
             if not (self.is_whole(digest) if verify else self.is_present(digest)):
+                note(f"{port} of {record.stage} ({digest}) is damaged or gone from {self.place}; computing it again")
                 self.quarantine(digest)
                 self.retire(key_path(key))
                 return None
         return record
+
+    def _read_record(self, key: Digest) -> Record | None:
+        """What `keys/KEY.json` says; None where it is not there, or not what a commit of this key wrote: put away."""
+        if (data := self.read(key_path(key))) is None:
+            return None
+        try:
+            return Record.decode(data, key)
+        except ArtifactError as error:
+            note(f"{self.place}/{key_path(key)}: {error}; it was moved to quarantine, its result is computed again")
+            self.retire(key_path(key))
+            return None
 
     def forget(self, key: Digest) -> None:
         """Drop a key so that it is computed again (`--force`); its objects stay until gc."""
@@ -154,8 +167,8 @@ class Store(Workspace, abc.ABC):
     def records(self) -> Iterator[Record]:
         """Every committed result that can be read."""
         for name in self.names("keys"):
-            with contextlib.suppress(ValidationError):
-                yield Record.model_validate_json(self.read(f"keys/{name}") or b"")
+            with contextlib.suppress(ArtifactError):
+                yield Record.decode(self.read(f"keys/{name}") or b"", key_of(name))
 
     def _refuse(self, digest: Digest, damage: str) -> NoReturn:
         self.quarantine(digest)

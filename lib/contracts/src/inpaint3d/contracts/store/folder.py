@@ -1,15 +1,13 @@
 """The store in a local folder."""
 
 import os
-import shutil
-import tempfile
 from pathlib import Path
 
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.manifest import Manifest
 from inpaint3d.contracts.store.artifact import find_folder_damage
 from inpaint3d.contracts.store.base import Store
-from inpaint3d.contracts.store.workspace import fsync
+from inpaint3d.contracts.store.workspace import fsync, remove
 
 
 class FolderStore(Store):
@@ -18,11 +16,17 @@ class FolderStore(Store):
     def __init__(self, root: Path) -> None:
         super().__init__(root, str(root.resolve()))
 
+    @property
+    def is_writable(self) -> bool:
+        return os.access(self.root, os.W_OK)
+
     def read(self, path: str) -> bytes | None:
         try:
             return (self.root / path).read_bytes()
         except FileNotFoundError:
             return None
+        except IsADirectoryError:  # nothing that a store writes: whoever reads documents finds it unreadable
+            return b""
 
     def write(self, path: str, data: bytes) -> None:
         target = self.root / path
@@ -43,18 +47,19 @@ class FolderStore(Store):
         return True
 
     def _stage(self, data: bytes) -> Path:
-        with tempfile.NamedTemporaryFile(dir=self.root / "tmp", prefix=f"{os.getpid()}-", delete=False) as file:
+        path = self.private_path()
+        with path.open("xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        return Path(file.name)
+        return path
 
     def retire(self, path: str) -> None:
-        if (self.root / path).exists():
+        if os.path.lexists(self.root / path):
             self.discard(self.root / path)
 
     def remove(self, path: str) -> None:
-        (self.root / path).unlink(missing_ok=True)
+        remove(self.root / path)
 
     def names(self, folder: str) -> list[str]:
         path = self.root / folder
@@ -80,10 +85,10 @@ class FolderStore(Store):
         return sum(p.stat().st_size for p in self.object_path(digest).rglob("*") if p.is_file())
 
     def drop_object(self, digest: Digest) -> None:
-        shutil.rmtree(self.object_path(digest))
+        remove(self.object_path(digest))
 
     def quarantine(self, digest: Digest) -> None:
-        if self.is_present(digest):
+        if os.path.lexists(self.object_path(digest)):
             self.discard(self.object_path(digest))
 
     def _publish(self, folder: Path, manifest: Manifest) -> Digest:

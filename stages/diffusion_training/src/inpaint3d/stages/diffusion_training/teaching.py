@@ -73,8 +73,7 @@ def begin_or_resume(
     state = begin(spec, ctx.seed, start, bf16=bf16, channels_last=config.channels_last)
     if config.compiled:
         state.prior.network.compile()
-    if checkpoint.exists():
-        load_checkpoint(checkpoint, state)
+    if load_checkpoint(checkpoint, state):
         ctx.log(f"going on from step {state.step}")
     return state
 

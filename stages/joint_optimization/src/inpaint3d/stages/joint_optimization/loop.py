@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from inpaint3d.contracts.errors import BadInputError, InterruptedRun
+from inpaint3d.contracts.kit.checkpoints import find_checkpoint
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.diffusion.training import step_generators
 from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
@@ -155,6 +156,8 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
     # A checkpoint holds a stream; here every step has its own.
     unused = torch.Generator()
     checkpoint = ctx.work / "checkpoint.safetensors"
+    if ranks.rank == 0 and (whole := find_checkpoint(checkpoint)) is not None:
+        whole.replace(checkpoint)
     ranks.broadcast_file(checkpoint)
     if (kept := load_checkpoint(checkpoint, field, optimizer, unused)) is not None:
         curves.restore(kept)

@@ -20,7 +20,9 @@ import torch.multiprocessing as mp
 from torch import Tensor
 
 from inpaint3d.contracts.errors import ConfigurationError, InterruptedRun
+from inpaint3d.contracts.kit.checkpoints import previous_of
 from inpaint3d.contracts.kit.context import Context, Inputs
+from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.stages.joint_optimization.config import Config
 
 PATIENCE = timedelta(minutes=10)
@@ -68,9 +70,18 @@ class Ranks:
         if data.numel():
             dist.broadcast(data, src=0)
         if not first:
+            # One of its own from an earlier run, in which it may have been the first, is not to be gone on from.
+            remove(previous_of(file))
+            self._replace(file, data)
+
+    def _replace(self, file: Path, data: torch.Tensor) -> None:
+        """The file anew, or none for no data. Ranks of one machine share it: none may ever see a part."""
+        if not data.numel():
             file.unlink(missing_ok=True)
-            if data.numel():
-                data.cpu().numpy().tofile(file)
+            return
+        staged = file.with_suffix(f".{self.rank}")
+        data.cpu().numpy().tofile(staged)
+        staged.replace(file)
 
     def device(self, kind: str) -> str:
         """The rank's own GPU, or the processor."""

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from inpaint3d.contracts.errors import Inpaint3dError, from_os_error
 from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.kit.keys import run_key
-from inpaint3d.contracts.kit.shim import Invocation, announce_threads, components_of, config_of, serve, stage_spec
+from inpaint3d.contracts.kit.shim import announce_threads, components_of, config_of, serve, stage_spec
 from inpaint3d.contracts.store import Store, open_store
 
 MODULE = "inpaint3d.stages.joint_optimization"
@@ -29,7 +30,7 @@ def main() -> None:
     parser.add_argument("--invocation", type=Path, required=True)
     options, _ = parser.parse_known_args()
     try:
-        step_along(open_store(options.store), Invocation.model_validate_json(options.invocation.read_bytes()))
+        step_along(open_store(options.store), load_invocation(options.invocation))
     except (Inpaint3dError, OSError) as error:
         failure = from_os_error(error) if isinstance(error, OSError) else error
         sys.stderr.write(f"rank {os.environ['RANK']}: {failure.kind}: {failure}\n")
