@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from inpaint3d.contracts.kit.upstream import Upstream, invoke
-from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus, PaintedView, PaintedViews
 from inpaint3d.contracts.models.manifest import MANIFEST
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Store
@@ -21,8 +21,8 @@ def main() -> None:
         for last in (node for node in pipeline.order if not pipeline.downstream(node)):
             upstream = Upstream(pipeline, last, store)
             result = invoke(pipeline.stages[last], store, upstream.inputs_of(last), stub=True)
-            produced = [*upstream.produced.values(), *result.outputs.values(), _corpus(store), _pipeline(store)]
-            for digest in produced:
+            given = (_corpus(store), _pipeline(store), _painted(store))
+            for digest in (*upstream.produced.values(), *result.outputs.values(), *given):
                 name, _, version = store.manifest(digest).schema_id.partition("@")
                 target = REPOSITORY / "schemas" / "golden" / name / f"{version}.json"
                 if not target.exists():
@@ -43,6 +43,15 @@ def _pipeline(store: Store) -> str:
     (folder / "pipeline").mkdir()
     (folder / "pipeline" / "model_index.json").write_text('{"_class_name": "StableDiffusionInpaintPipeline"}')
     return store.put(folder, "diffusers-pipeline", DiffusersPipeline(kind="StableDiffusionInpaintPipeline"))
+
+
+def _painted(store: Store) -> str:
+    folder = store.private_folder()
+    for name in ("pictures", "masks"):
+        (folder / name).mkdir()
+        (folder / name / "a.png").write_bytes(b"not looked at")
+    view = PaintedView(name="a", picture="pictures/a.png", mask="masks/a.png")
+    return store.put(folder, "painted-views", PaintedViews(views=(view,)))
 
 
 if __name__ == "__main__":
