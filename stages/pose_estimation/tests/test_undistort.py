@@ -65,3 +65,23 @@ def test_changing_the_model_keeps_what_both_know():
     assert list(camera.params) == [100, 61, 44, -0.15]
     convert(camera, "PINHOLE")
     assert list(camera.params) == [100, 100, 61, 44]
+
+
+@pytest.mark.parametrize("side", [120, 60])
+def test_what_was_transparent_is_no_evidence(side):
+    """Nor is a pixel that any of it is averaged into, nor what the lens leaves empty anyway."""
+    opaque = np.ones((90, 120), bool)
+    opaque[:, :31] = False
+    straight = Undistorter(lens("PINHOLE", 100.0, 90.0, 60.0, 45.0), side)
+    valid = straight.combine_valid(opaque)
+    assert valid is not None
+    edge = 31 if side == 120 else 16
+    assert not valid[:, :edge].any()
+    assert valid[:, edge:].all()
+    bent = Undistorter(BARREL, side)
+    both = bent.combine_valid(opaque)
+    assert both is not None
+    assert not both[:, 0].any()
+    if bent.valid is not None:
+        assert not (both & ~bent.valid).any()
+    assert straight.combine_valid(np.ones((90, 120), bool)) is None

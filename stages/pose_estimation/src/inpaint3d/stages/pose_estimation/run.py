@@ -18,7 +18,14 @@ from inpaint3d.contracts.models.artifacts import (
 )
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import as_pose
-from inpaint3d.scene.capture_io import SparsePoints, read_captured_image, read_captured_mask, write_points, write_view
+from inpaint3d.scene.capture_io import (
+    SparsePoints,
+    read_captured_image,
+    read_captured_mask,
+    read_captured_valid,
+    write_points,
+    write_view,
+)
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
@@ -66,7 +73,8 @@ def write_capture(
             write_view(
                 folder, frame.name, image, lens.camera(model.world_from_cam[view]),
                 split="test" if view in tests else "train", relative_exposure=exposures[view],
-                mask=None if mask is None else lens.mask(mask), valid=lens.valid,
+                mask=None if mask is None else lens.mask(mask),
+                valid=lens.combine_valid(read_captured_valid(capture, frame)),
             )
         )  # fmt: skip
     write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
@@ -122,7 +130,8 @@ def write_truth(
         frames.append(
             write_view(
                 folder, frame.name, lens.image(read_captured_image(truth, frame)), camera, split="test",
-                relative_exposure=exposure, mask=None if mask is None else lens.mask(mask), valid=lens.valid,
+                relative_exposure=exposure, mask=None if mask is None else lens.mask(mask),
+                valid=lens.combine_valid(read_captured_valid(truth, frame)),
             )
         )  # fmt: skip
     outputs.write(

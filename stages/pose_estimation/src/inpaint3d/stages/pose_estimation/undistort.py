@@ -57,6 +57,13 @@ class Undistorter:
         whole = self._reduced(held.astype(np.float32)) > 1 - 1e-6
         return None if whole.all() else whole
 
+    def combine_valid(self, opaque: Mask | None) -> Mask | None:
+        """Pixels that come wholly from what a captured picture shows, `opaque` [h, w] (None: everywhere); None: all."""
+        if opaque is None or opaque.all():
+            return self.valid
+        covered = self.image(np.repeat(opaque[..., None], 3, -1).astype(np.float32))[..., 0] > 1 - 1e-6
+        return covered if self.valid is None else covered & self.valid
+
     def pixels(self, captured_xy: ArrayLike) -> Floats:
         """Captured pixels [n, 2] as pixels of the undistorted view."""
         captured_xy = np.ascontiguousarray(captured_xy, np.float64).reshape(-1, 2)
