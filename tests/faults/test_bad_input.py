@@ -39,7 +39,7 @@ def another_aspect(folder):
         (lambda folder: None, 1, ["1 pictures", "at least 2"]),
         (cut_short, 4, ["broken.jpg", "copy it again"]),
         (lambda folder: (folder / "notes.png").write_text("no picture"), 4, ["notes.png", "replace or remove"]),
-        (another_aspect, 4, ["view_001.png is 40x40", "48x36", "another aspect ratio"]),
+        (another_aspect, 4, ["mask view_001.png is for 40x40", "48x36", "another aspect ratio"]),
     ],
     ids=["empty", "one photo", "corrupt JPEG", "not a picture", "mask of another aspect"],
 )

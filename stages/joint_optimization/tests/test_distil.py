@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec, PriorSpec
-from inpaint3d.diffusion.distillation import sds_gradient
+from inpaint3d.diffusion.distillation import PriorQuery, sds_gradient
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays, camera_rays
@@ -101,7 +101,8 @@ def test_gradient_is_that_of_a_mean_over_pixels_of_a_picture_in_signed_range(pri
     eps = torch.randn(1, 3, 16, 16, generator=stream)
     fill = torch.randn(1, 3, 16, 16, generator=stream)
     level = torch.full((1,), t)
-    by_hand = sds_gradient(prior, x, hole[None, None].float(), level, eps, guidance=3.0, noise_fill=fill)
+    query = PriorQuery(x, hole[None, None].float(), level, eps, fill)
+    by_hand = sds_gradient(prior, query, guidance=3.0)
     torch.testing.assert_close(gradient, by_hand[0].permute(1, 2, 0) * 2 / 256)
 
 
