@@ -100,7 +100,7 @@ def test_a_new_node_is_wanted_where_wants_are_named(tmp_path, wants):
 
 
 def test_a_schema_is_named_three_times(tmp_path):
-    registry = tmp_path / "inpaint3d" / "contracts" / "artifacts" / "__init__.py"
+    registry = tmp_path / "inpaint3d" / "contracts" / "models" / "artifacts" / "__init__.py"
     registry.parent.mkdir(parents=True)
     before = """from inpaint3d.contracts.models.artifacts.a import (
     A,
