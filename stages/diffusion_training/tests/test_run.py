@@ -19,20 +19,17 @@ from inpaint3d.contracts.kit.shim import Invocation, execute
 from inpaint3d.contracts.models.artifacts import (
     DiffusionPrior,
     ImageCorpus,
-    LensModel,
     MaskSet,
     MaskView,
-    PosedCapture,
-    Registration,
 )
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.documents import load_yaml
 from inpaint3d.contracts.store import Artifact, FolderStore, Store
 from inpaint3d.diffusion.io import load_prior, open_prior
-from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.diffusion_training.config import SMALL
+from tests.room_artifacts import put_posed
 
 MODULE = "inpaint3d.stages.diffusion_training"
 TINY: dict[str, Any] = load_yaml(Path(__file__).parent / "tiny.yaml")[0]
@@ -46,33 +43,6 @@ def room() -> SyntheticScene:
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     return FolderStore(tmp_path / "store")
-
-
-def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:
-    folder = store.private_folder()
-    frames = [
-        write_view(folder, name, image, camera, split="test" if i == 2 else "train")
-        for i, (name, image, camera) in enumerate(zip(room.names, images, room.cameras, strict=True))
-    ]
-    write_points(folder / "points.safetensors", room.points)
-    metadata = PosedCapture(
-        frames=tuple(frames),
-        ordered=True,
-        lens=LensModel(model="PINHOLE", params=(40.0, 40.0, 24.0, 18.0), evidence="synthetic"),
-        registration=Registration(
-            source="known",
-            given=len(frames),
-            registered=len(frames),
-            mean_reprojection_error_px=0.0,
-            points=len(room.points),
-            median_triangulation_angle_deg=20.0,
-        ),
-        source_from_normalised_scale=1.0,
-        source_from_normalised=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0)),
-        centre_depth=0.9,
-        up_evidence="synthetic",
-    )
-    return store.put(folder, "posed-capture", metadata)
 
 
 def put_masks(store: Store, room: SyntheticScene, masks: np.ndarray) -> Digest:

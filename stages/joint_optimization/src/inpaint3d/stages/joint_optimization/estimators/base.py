@@ -3,6 +3,7 @@
 No tensor library is imported here: parameters are checked before anything starts.
 """
 
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -74,9 +75,9 @@ class Estimator(Closed):
         """
         return f"joint-{getattr(self, 'name')}"  # noqa: B009 - every estimator has one, of a type of its own
 
+    @abstractmethod
     def prepare(self, setting: Setting) -> Preparation:
         """What is filled, by what. Raises ConfigurationError or BadInputError where what is wired does not do."""
-        raise NotImplementedError
 
 
 class Guided(Estimator):
@@ -101,9 +102,9 @@ class Guided(Estimator):
         """Share of the view-dependent colour in what the guide sees (S10)."""
         return 1.0
 
+    @abstractmethod
     def span_at(self, since: int, total: int) -> float:
         """Side of a window as a share of the picture's short side, `since` steps into `total` of distillation."""
-        raise NotImplementedError
 
 
 class Narrowing(Closed):
@@ -155,13 +156,13 @@ class HoleFilling(Guided):
         words = f"{after / before:.0%} of what is masked, which {self.min_supporting_views} other views do not show"
         return reduced, {"hole": words}
 
+    @abstractmethod
     def make_guide(self, to_fill: "tuple[MaskedView, ...]", setting: Setting) -> "Guide":
         """The guide that pulls the holes of these views."""
-        raise NotImplementedError
 
+    @abstractmethod
     def cost(self) -> str:
         """What a distilled step costs beside its render, in words."""
-        raise NotImplementedError
 
 
 class PriorEstimator(HoleFilling):
@@ -210,9 +211,9 @@ class PriorEstimator(HoleFilling):
         """UNet evaluations for one guided answer."""
         return 1 if self.guidance in (0.0, 1.0) else 2
 
+    @abstractmethod
     def evaluations(self) -> int:
         """UNet evaluations of a distilled step; a backward pass, where there is one, counts as two."""
-        raise NotImplementedError
 
     def cost(self) -> str:
         return f"{self.evaluations()} UNet evaluations a distilled step"
@@ -243,6 +244,6 @@ class PriorEstimator(HoleFilling):
         """Why this estimator cannot use a diffusers pipeline; None where it can."""
         return None
 
+    @abstractmethod
     def guide_by(self, prior: "Denoiser", to_fill: "tuple[MaskedView, ...]", seed: int) -> "Guide":
         """The guide that asks a prior."""
-        raise NotImplementedError
