@@ -1,12 +1,9 @@
-"""Shapes are checked at run time in these tests; tiny priors to run them on."""
+"""Tiny priors to run the tests on."""
 
 import pytest
 import torch
-from jaxtyping import install_import_hook
 
-install_import_hook("inpaint3d.diffusion", "beartype.beartype")
-
-from inpaint3d.contracts.models.artifacts.prior import PriorSpec  # noqa: E402
+from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 
 _TINY = {"size": 16, "width": 8, "multipliers": (1, 2), "blocks": (1, 1), "attention": (False, True)}
 _SHIPPED = {

@@ -2,8 +2,7 @@ import csv
 import io
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +31,7 @@ from inpaint3d.stages.joint_optimization.run import run
 from tests.room_artifacts import put_completed
 
 MODULE = "inpaint3d.stages.joint_optimization"
+STAGE = load_stage(Path(__file__).parents[1] / "stage.yaml")
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
 
 Wired = Callable[..., dict[str, Any]]
@@ -168,8 +168,8 @@ def test_a_prior_is_asked_in_the_runtime_that_it_names_unless_a_copy_of_it_learn
     metadata = DiffusionPrior(
         spec=prior.spec, steps=0, seed=0, trained_on="nothing", onnx="network.onnx", runtime="onnxruntime"
     )
-    artifact = store.open(store.put(folder, "diffusion-prior", metadata), DiffusionPrior)
-    wired = cast(Inputs, SimpleNamespace(optional=lambda *_: artifact))
+    digest = store.put(folder, "diffusion-prior", metadata)
+    wired = Inputs(store, STAGE, {"diffusion-prior": digest})
     for trainable, network in ((False, OnnxNetwork), (True, EfficientUNet)):
         prior = load_trained_prior(wired, asker="a test", device="cpu", trainable=trainable)
         assert isinstance(prior.network, network)
@@ -269,19 +269,18 @@ def test_stopped_and_resumed_is_the_run_without_the_stop(
     store: Store, inputs: Wired, room: SyntheticScene, tmp_path: Path, parameters: dict[str, Any]
 ) -> None:
     """What vsd's copy learnt and the pictures of dataset-update are in the checkpoint too, and all ranks stop alike."""
-    spec = load_stage(Path(__file__).parents[1] / "stage.yaml")
     config, wired = Config.model_validate(merge_parameters(TINY, parameters)), inputs()
     wired["completed-views"] = put_completed(store, room)
 
     def artifact(work: Path, *stops: int | None) -> str:
         for stop in stops:
-            outputs = Outputs(store, spec)
+            outputs = Outputs(store, STAGE)
             ctx = _Stops(work, stop)
             if stop is None:
-                run(config, Inputs(store, spec, wired), outputs, ctx)
+                run(config, Inputs(store, STAGE, wired), outputs, ctx)
                 return outputs.store_all()["radiance-field"]
             with pytest.raises(InterruptedRun):
-                run(config, Inputs(store, spec, wired), outputs, ctx)
+                run(config, Inputs(store, STAGE, wired), outputs, ctx)
         raise AssertionError("the last run must go to its end")
 
     (tmp_path / "a").mkdir()
