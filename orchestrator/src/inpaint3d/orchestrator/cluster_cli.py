@@ -7,8 +7,6 @@ from typing import Annotated, Any
 
 import typer
 import yaml
-from rich.console import Console
-from rich.table import Table
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.cluster import ClusterSpec, ImagesSpec, Scene, Submission
@@ -34,6 +32,7 @@ from inpaint3d.orchestrator.options import (
 )
 from inpaint3d.orchestrator.plan import Selection, find_pipeline
 from inpaint3d.orchestrator.request import ConfiguredRequest
+from inpaint3d.orchestrator.tables import print_table
 
 emit_app = typer.Typer(no_args_is_help=True, help="Manifests for a cluster, and what is wrong with some.")
 
@@ -116,10 +115,7 @@ def submit(manifest: Path, cluster: Cluster = CLUSTER, pipeline: PipelinePath = 
 
 def status(name: str, cluster: Cluster = CLUSTER) -> None:
     """Say where every pod of a submission stands."""
-    table = Table("where", "phase", "message", box=None)
-    for row in clusters.status(_cluster(cluster), name):
-        table.add_row(*row)
-    Console().print(table)
+    print_table(("where", "phase", "message"), clusters.status(_cluster(cluster), name))
 
 
 def logs(

@@ -5,9 +5,6 @@ import sys
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
@@ -18,7 +15,7 @@ from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, Ru
 from inpaint3d.orchestrator.plan import find_pipeline
 from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.run_folder import own_folder
-from inpaint3d.orchestrator.tables import printable, show_nodes
+from inpaint3d.orchestrator.tables import print_table, printable, show_nodes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -48,19 +45,13 @@ def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
     if as_json:
         sys.stdout.write(json.dumps([r.model_dump(mode="json", exclude={"nodes"}) for r in records], indent=2) + "\n")
         return
-    table = Table("name", "started", "status", "preset", "wall s", "ran", "cached", box=None)
+    rows: list[list[str]] = []
     for r in records:
         counts = [sum(n.status == s for n in r.nodes) for s in ("done", "cached")]
         wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
-        table.add_row(
-            escape(printable(r.name)),
-            r.started[:19],
-            "killed" if is_killed(r) else r.status,
-            r.preset or "",
-            wall,
-            *map(str, counts),
-        )
-    Console().print(table)
+        status = "killed" if is_killed(r) else r.status
+        rows.append([r.name, r.started[:19], status, r.preset or "", wall, *map(str, counts)])
+    print_table(("name", "started", "status", "preset", "wall s", "ran", "cached"), rows)
 
 
 def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:
@@ -75,10 +66,11 @@ def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json
     show_nodes(list(History(open_store(store)).latest(name).nodes), as_json=False)
     for protocol in report["protocols"]:
         sys.stdout.write(f"\n{protocol['name']}: {protocol['description']}\n")
-        table = Table("method", "metric", "value", "unit", "better", "views", box=None)
-        for m in protocol["metrics"]:
-            table.add_row(m["method"], m["name"], f"{m['value']:.4g}", m["unit"], m["better"], str(m["views"]))
-        Console().print(table)
+        rows = [
+            (m["method"], m["name"], f"{m['value']:.4g}", m["unit"], m["better"], str(m["views"]))
+            for m in protocol["metrics"]
+        ]
+        print_table(("method", "metric", "value", "unit", "better", "views"), rows)
 
 
 def verify(
@@ -116,10 +108,7 @@ def compare(
             Pipeline(find_pipeline(pipeline)), one, History(one).latest(name), two, History(two).latest(other)
         )
     )
-    table = Table("stage", "output", "", "", box=None)
-    for row in rows:
-        table.add_row(row.node, row.port, row.verdict, row.detail)
-    Console(width=140).print(table)
+    print_table(("stage", "output", "", ""), [(r.node, r.port, r.verdict, r.detail) for r in rows], width=140)
     raise typer.Exit(0 if all(r.verdict in ("equal", "may differ") for r in rows) else BadInputError.exit_code)
 
 

@@ -220,7 +220,8 @@ class Scheduler:
         self.display.node(task.node, status, task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
         if (problem := self.planner.request_problem(task.node)) is not None:
             self._refuse_request(problem)
-        self._save("running")
+        if status == "done":  # of what is cached the next save tells, that of the end at the latest
+            self._save("running")
 
     def _refuse_request(self, problem: str) -> None:
         """End the run before the stages that read the mask request have their turn, as they would end it."""
