@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.cluster import ClusterSpec, ImagesSpec, Scene, Submission
-from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.documents import load_document, read_document
 from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.untrusted import UntrustedError, parse_yaml_documents
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.argo import dump
@@ -93,9 +93,9 @@ def check_file(manifest: Path, pipeline: PipelinePath = None) -> None:
 
 def _documents(manifest: Path) -> list[Any]:
     try:
-        return list(yaml.safe_load_all(manifest.read_text()))
-    except (OSError, yaml.YAMLError) as error:
-        raise ConfigurationError(f"cannot read {manifest}: {error}; give what `inpaint3d emit argo` wrote") from error
+        return parse_yaml_documents(read_document(manifest))
+    except UntrustedError as error:
+        raise ConfigurationError(f"{manifest}: {error}; give what `inpaint3d emit argo` wrote") from error
 
 
 def _conclude(findings: list[str]) -> None:

@@ -6,12 +6,12 @@ import json
 from collections.abc import Iterator
 from typing import Any, cast
 
-import yaml
 from pydantic import BaseModel, ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.pipeline import VARIANT, Parameters, Pipeline, merge_parameters
 from inpaint3d.contracts.models.stage import StageSpec
+from inpaint3d.contracts.models.untrusted import UntrustedError, parse_yaml
 from inpaint3d.orchestrator.parameter_schema import Place, parameter_schema
 
 SEED = "seed"
@@ -174,9 +174,9 @@ def _parse_assignment(pipeline: Pipeline, line: str) -> tuple[str, list[str], An
     if node not in pipeline.nodes:
         raise ConfigurationError(f"--set {line}: no stage {node}; there are {', '.join(pipeline.order)}")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"--set {line}: {text!r} is not a YAML value") from error
+        value, _ = parse_yaml(text)
+    except UntrustedError as error:
+        raise ConfigurationError(f"--set {line}: {text!r:.200} is not a YAML value ({error})") from error
     if path == [SEED] and (type(value) is not int or value < 0):
         raise ConfigurationError(f"--set {line}: a seed is a whole number, 0 or more")
     return node, path, value

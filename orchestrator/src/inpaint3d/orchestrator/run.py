@@ -27,7 +27,7 @@ from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.plan import Planner, Selection, Task, add_result
 from inpaint3d.orchestrator.progress import Display
-from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, start
+from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, Starter
 
 RunStatus = Literal["running", "done", "failed", "waiting", "stopped"]
 POLL_S = 0.5
@@ -73,8 +73,7 @@ class Scheduler:
         """
         (self.folder / "logs").mkdir(parents=True, exist_ok=True)
         try:
-            with self._signals(), tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
-                self._private = Path(private)
+            with self._signals(), self._starter():
                 self._go_along()
         except BrokenPipeError as error:
             self._abort("stopped", gone := "nobody reads standard output any more")
@@ -94,11 +93,7 @@ class Scheduler:
             self._hear()
 
     def _abort(self, status: RunStatus, message: str) -> None:
-        """End the stages, and the record, of a run that an exception ends."""
-        for running in self._running.values():
-            running.stop()
-        for running in self._running.values():
-            running.wait()
+        """End the record of a run that an exception ends, whose stages have ended."""
         with contextlib.suppress(OSError):  # what failed may be the display
             self.display.close()
         for node in self._running:
@@ -162,9 +157,7 @@ class Scheduler:
             die_with_parent=True,
         )
         log = self.folder / "logs" / f"{task.node}.log"
-        self._running[task.node] = start(
-            task.node, self.runner, spec, self.planner.store, task.key, invocation, log, self._private, self._events
-        )
+        self._running[task.node] = self._stages.start(task.node, spec, task.key, invocation, log)
         self.display.node(task.node, "running", task.reason, threads=threads)
         self._save("running")
 
@@ -282,6 +275,23 @@ class Scheduler:
             update["wall_s"] = round(time.monotonic() - self._began, 3)
         self.record = self.record.model_copy(update=update)
         self.planner.history.save(self.record)
+
+    @contextlib.contextmanager
+    def _starter(self) -> Generator[None]:
+        with tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
+            self._stages = Starter(self.runner, self.planner.store, Path(private), self._events)
+            try:
+                yield
+            finally:
+                self._end_stages()
+                self._stages.close()
+
+    def _end_stages(self) -> None:
+        """Of a run that an exception ends; of another none is left."""
+        for running in self._running.values():
+            running.stop()
+        for running in self._running.values():
+            running.wait()
 
     @contextlib.contextmanager
     def _signals(self) -> Generator[None]:

@@ -10,6 +10,7 @@ from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
+from inpaint3d.contracts.models.untrusted import UntrustedError, read_safetensors_header
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, read_opaque, write_mask, write_png
 
@@ -131,6 +132,10 @@ def load_posed(artifact: PosedFolder) -> list[View]:
 
 def load_points(path: Path) -> SparsePoints:
     """Read `points.safetensors`; ArtifactError where an array is missing or has another shape."""
+    try:
+        read_safetensors_header(path)
+    except UntrustedError as error:
+        raise ArtifactError(f"{path}: {error}; run pose-estimation") from error
     arrays = load_file(path)
     for name, (dtype, tail) in _POINTS.items():
         found = arrays.get(name)

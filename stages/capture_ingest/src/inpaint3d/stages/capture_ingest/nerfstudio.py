@@ -3,13 +3,13 @@
 NeRF's synthetic scenes (`blender.py`) have the same kind of file for each of their splits.
 """
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
+from inpaint3d.contracts.models.untrusted import MAX_JSON_BYTES, parse_json, read_bounded
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_opengl
 from inpaint3d.stages.capture_ingest.found import (
@@ -65,11 +65,11 @@ def _notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]
 
 def _read(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     try:
-        top = json.loads(path.read_text(encoding="utf-8-sig"))
+        top = parse_json(read_bounded(path, MAX_JSON_BYTES))
         listed = top["frames"]
         if not isinstance(listed, list) or not all(isinstance(frame, dict) for frame in listed):
             raise TypeError("frames is no list of objects")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise BadInputError(f"{path.name} is not what nerfstudio writes ({error!r}); export it again") from error
     return {key: value for key, value in top.items() if key != "frames"}, listed
 
