@@ -69,7 +69,7 @@ def _children_cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def write_ours(folder: Path) -> System:
+def write_ours(folder: Path, width: int = WIDTH) -> System:
     """Our pipeline of the no-op stage, an installed package as far as the interpreter can tell."""
     package = folder / "stage" / "src" / "inpaint3d" / "stages" / "noop"
     package.mkdir(parents=True)
@@ -84,13 +84,13 @@ def write_ours(folder: Path) -> System:
     schemas = folder / "schemas" / "parameters"
     schemas.mkdir(parents=True)
     (schemas / "noop.json").write_text(json.dumps(_noop_schema()))
-    spread = [_node(f"spread-{i}", i, ["first.made"]) for i in range(WIDTH)]
-    last = _node("last", WIDTH + 1, [f"{n['name']}.made" for n in spread])
+    spread = [_node(f"spread-{i}", i, ["first.made"]) for i in range(width)]
+    last = _node("last", width + 1, [f"{n['name']}.made" for n in spread])
     document = {
         "apiVersion": "inpaint3d/v1", "kind": "Pipeline", "metadata": {"name": "noop"},
         "spec": {
             "externals": {"capture": {"schema": "source@1"}},
-            "stages": [_node("first", WIDTH, ["external.capture"]), *spread, last],
+            "stages": [_node("first", width, ["external.capture"]), *spread, last],
         },
     }  # fmt: skip
     (folder / "pipeline.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
@@ -110,8 +110,8 @@ def _noop_schema() -> dict[str, Any]:
     return build_schema(scope["Config"], "parameters/noop", "1")
 
 
-def write_dvc(folder: Path, program: Path) -> System:
-    names = [f"spread-{i}" for i in range(WIDTH)]
+def write_dvc(folder: Path, program: Path, width: int = WIDTH) -> System:
+    names = [f"spread-{i}" for i in range(width)]
     stages = {"first": {"cmd": "cat source > first", "deps": ["source"], "outs": ["first"]}}
     stages |= {n: {"cmd": f"cat first > {n}", "deps": ["first"], "outs": [n]} for n in names}
     stages["last"] = {"cmd": f"cat {' '.join(names)} > last", "deps": names, "outs": ["last"]}
@@ -122,9 +122,9 @@ def write_dvc(folder: Path, program: Path) -> System:
     return System("dvc", folder, [str(program), "repro", "-q"], environment)
 
 
-def write_snakemake(folder: Path, program: Path) -> System:
+def write_snakemake(folder: Path, program: Path, width: int = WIDTH) -> System:
     (folder / "source").write_text("nothing")
-    spread = ", ".join(f'"spread-{i}"' for i in range(WIDTH))
+    spread = ", ".join(f'"spread-{i}"' for i in range(width))
     (folder / "Snakefile").write_text(
         f'rule last:\n    input: {spread}\n    output: "last"\n    shell: "cat {{input}} > {{output}}"\n'
         'rule spread:\n    input: "first"\n    output: "spread-{i}"\n    shell: "cat {input} > {output}"\n'
