@@ -135,9 +135,14 @@ def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> N
 
 
 def publish_again(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE) -> None:
-    """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here."""
+    """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here.
+
+    Exit codes: 0 the run did all it was for; else as that of the run, 3 where it does not say why it failed.
+    """
     opened = open_store(store)
     record = History(opened).latest(name)
     with own_folder(runs_dir / name):
         publish(opened, record, runs_dir / name)
-    sys.stderr.write(printable(f"{name}: results: {runs_dir / name}\n"))
+    sys.stderr.write(printable(f"{name}: {record.status}; results: {runs_dir / name}\n"))
+    if record.status != "done":
+        raise typer.Exit(max((n.exit_code or 0 for n in record.nodes), default=0) or BadInputError.exit_code)

@@ -22,6 +22,7 @@ from inpaint3d.contracts.errors import (
 )
 from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.report import NodeRun, RunRecord, Status
+from inpaint3d.contracts.models.stage import count_cpus
 from inpaint3d.contracts.store import Record, this_process
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.intake import MASK_REQUEST
@@ -132,8 +133,8 @@ class Scheduler:
     def _room(self, node: str) -> int:
         """Threads for a node now: its request if free, up to its limit where nobody else is waiting; 0: no room."""
         resources = self.planner.pipeline.stages[node].spec.resources
-        wanted = min(self.cores, max(1, int(float(resources.requests.get("cpu", "1")))))
-        most = min(self.cores, int(float(resources.limits.get("cpu", resources.requests.get("cpu", "1")))))
+        wanted = min(self.cores, max(1, int(count_cpus(resources.requests.get("cpu", "1")))))
+        most = min(self.cores, int(count_cpus(resources.limits.get("cpu", resources.requests.get("cpu", "1")))))
         free = self.cores - sum(r.threads for r in self._running.values())
         if free < wanted and self._running:
             return 0

@@ -39,6 +39,9 @@ from inpaint3d.contracts.store import Record, Store, open_store
 T = TypeVar("T")
 
 STAGE_YAML = "INPAINT3D_STAGE_YAML"
+LAST_WORDS = "INPAINT3D_LAST_WORDS"
+"""A file to leave the error in that a stage ends with: of a pod, what its cluster shows beside the exit code."""
+LONGEST_WORDS = 4096  # bytes that Kubernetes keeps
 GRACE_S = 10.0
 
 
@@ -228,7 +231,15 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
     if trace is not None:
         sys.stderr.write(trace)
     say("error", kind=failure.kind, message=str(failure), exit_code=failure.exit_code)
+    leave_last_words(failure)
     return failure.exit_code
+
+
+def leave_last_words(error: Inpaint3dError) -> None:
+    """Leave an error's message where who runs the container looks for it; nothing where that cannot be written."""
+    if place := os.environ.get(LAST_WORDS):
+        with contextlib.suppress(OSError):
+            Path(place).write_bytes(f"{error.kind}: {error}".encode()[:LONGEST_WORDS])
 
 
 def announce_threads(count: int) -> None:

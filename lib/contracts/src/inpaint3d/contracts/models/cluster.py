@@ -41,12 +41,22 @@ class ClusterBody(Closed):
         description="Secret with AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; none where pods have a role",
     )
     serviceAccountName: Name = "inpaint3d"
+    createServiceAccount: bool = Field(
+        default=True,
+        description="write the service account, and a role that lets its pods report to Argo; false: they are there",
+    )
     imagePullPolicy: Literal["Always", "IfNotPresent", "Never"] = "IfNotPresent"
     priorityClassName: Name | None = None
     nodeSelector: dict[str, str] = {}
     tolerations: tuple[dict[str, Any], ...] = ()
     gpu: Gpu = Gpu()
     cache: Cache = Cache()
+    largestCpuRequest: Quantity = Field(
+        default="1500m", description="no pod asks for more: two cores of a node are less what the node itself needs"
+    )
+    secondsKept: Annotated[int, Field(ge=0)] = Field(
+        default=7 * 24 * 3600, description="how long a Workflow that has ended stays, with its failed pods"
+    )
     retries: Annotated[int, Field(ge=0)] = Field(default=3, description="of a pod that was lost")
     parallelism: Annotated[int, Field(ge=1)] = Field(default=50, description="pods of one Workflow at a time")
     scenesPerWorkflow: Annotated[int, Field(ge=1)] = 20
