@@ -93,7 +93,8 @@ def test_a_safetensors_header_says_what_is_there(tmp_path):
     "change",
     [
         {"shape": [2**40]}, {"shape": [-1, -6]}, {"shape": "6"}, {"shape": [2.5]}, {"dtype": "F33"}, {"dtype": None},
-        {"data_offsets": [0, 2**60]}, {"data_offsets": [8, 0]}, {"data_offsets": [-24, 0]}, {"data_offsets": 3},
+        {"data_offsets": [0, 2**60]}, {"data_offsets": [True, 24]},
+        {"shape": [True, 6]}, {"data_offsets": [8, 0]}, {"data_offsets": [-24, 0]}, {"data_offsets": 3},
         {"data_offsets": [0, 20]},
     ],
 )  # fmt: skip
@@ -101,6 +102,21 @@ def test_a_safetensors_header_that_lies_is_refused(tmp_path, change):
     described = {"dtype": "F32", "shape": [2, 3], "data_offsets": [0, 24], **change}
     with pytest.raises(UntrustedError, match="array 'x'"):
         read_safetensors_header(_safetensors(tmp_path / "a", {"x": described}, bytes(24)))
+
+
+@pytest.mark.parametrize(
+    ("spans", "size", "says"),
+    [
+        ([(0, 8), (4, 12)], 12, "array 'b' begins at byte 4, the last ended at 8"),
+        ([(0, 8), (12, 20)], 20, "array 'b' begins at byte 12"),
+        ([(0, 8), (8, 16)], 17, "said to take 16 bytes, but 17 are there"),
+        ([(0, 8), (8, 16)], 15, "said to take 16 bytes, but 15 are there"),
+    ],
+)
+def test_arrays_that_overlap_or_leave_bytes_over_are_refused(tmp_path, spans, size, says):
+    header = {n: {"dtype": "F32", "shape": [2], "data_offsets": list(s)} for n, s in zip("ab", spans, strict=True)}
+    with pytest.raises(UntrustedError, match=says):
+        read_safetensors_header(_safetensors(tmp_path / "a", header, bytes(size)))
 
 
 @pytest.mark.parametrize("data", [b"", b"12", struct.pack("<Q", 2**60), struct.pack("<Q", 2) + b"[]", bytes(64)])

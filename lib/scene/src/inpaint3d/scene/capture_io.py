@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
@@ -134,9 +135,9 @@ def load_points(path: Path) -> SparsePoints:
     """Read `points.safetensors`; ArtifactError where an array is missing or has another shape."""
     try:
         read_safetensors_header(path)
-    except UntrustedError as error:
+        arrays = load_file(path)
+    except (UntrustedError, SafetensorError) as error:
         raise ArtifactError(f"{path}: {error}; run pose-estimation") from error
-    arrays = load_file(path)
     for name, (dtype, tail) in _POINTS.items():
         found = arrays.get(name)
         if found is None or found.dtype != dtype or found.shape[1:] != tail:

@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, NamedTuple, cast
 
 import yaml
 
@@ -98,13 +98,25 @@ def read_safetensors_header(path: Path) -> dict[str, tuple[str, tuple[int, ...]]
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        header = _read_header(file, size)
-    body = size - _LENGTH_BYTES - header[1]
-    arrays: dict[str, tuple[str, tuple[int, ...]]] = {}
-    for name, entry in header[0].items():
-        if name != "__metadata__":
-            arrays[name] = _check_array(name, entry, body)
-    return arrays
+        header, length = _read_header(file, size)
+    described = {name: entry for name, entry in header.items() if name != "__metadata__"}
+    arrays = {name: _describe_array(name, entry) for name, entry in described.items()}
+    end = 0
+    for name, array in sorted(arrays.items(), key=lambda item: item[1].span):
+        if array.span[0] != end:
+            raise UntrustedError(
+                f"its array {name!r:.80} begins at byte {array.span[0]}, not where the last ended ({end})"
+            )
+        end = array.span[1]
+    if end != size - _LENGTH_BYTES - length:
+        raise UntrustedError(f"its arrays are said to take {end} bytes, but {size - _LENGTH_BYTES - length} are there")
+    return {name: (array.kind, array.shape) for name, array in arrays.items()}
+
+
+class _Array(NamedTuple):
+    kind: str
+    shape: tuple[int, ...]
+    span: tuple[int, int]
 
 
 def _read_header(file: BinaryIO, size: int) -> tuple[dict[str, Any], int]:
@@ -117,16 +129,16 @@ def _read_header(file: BinaryIO, size: int) -> tuple[dict[str, Any], int]:
     return cast(dict[str, Any], header), length
 
 
-def _check_array(name: str, entry: Any, body: int) -> tuple[str, tuple[int, ...]]:
+def _describe_array(name: str, entry: Any) -> _Array:
     try:
         kind, shape, (begin, end) = str(entry["dtype"]), tuple(entry["shape"]), entry["data_offsets"]
-        wanted = math.prod(shape) * _BITS[kind] // 8
-        lies = min((*shape, begin), default=0) < 0 or not begin <= end <= body or end - begin != wanted
+        lies = not all(type(n) is int and n >= 0 for n in (*shape, begin, end))
+        lies = lies or end - begin != math.prod(shape) * _BITS[kind] // 8
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise UntrustedError(f"no safetensors: its array {name!r:.80} is not described ({error!r:.80})") from error
     if lies:
         raise UntrustedError(f"its array {name!r:.80} is said to be {kind} {shape!r:.80}, which its bytes are not")
-    return kind, shape
+    return _Array(kind, shape, (begin, end))
 
 
 def _check_events(text: str) -> None:
