@@ -53,7 +53,7 @@ class Request:
         return json.dumps(asdict(self)).encode()
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Serve; a forked process leaves the loop and becomes what it was forked for."""
     for number in DEAF_TO:
         signal.signal(number, signal.SIG_IGN)
@@ -66,6 +66,7 @@ def main() -> None:
             become(request, descriptors)
         connection = socket.socket(fileno=descriptors[0])
         _import_all(request.preload)
+    _leave(0)
 
 
 def serve(connection: socket.socket) -> tuple[Request, list[int]] | None:
