@@ -15,6 +15,7 @@ import random
 import shutil
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from inpaint3d.contracts.errors import ArtifactError
@@ -146,8 +147,11 @@ def try_checkpoint(folder: Path, rng: random.Random) -> str | None:
     return None if harmless or found.read_bytes().endswith(b"1" * 100) else f"checkpoint {how}: gone on from damage"
 
 
-def carry_out(kills: int, corruptions: int, seed: int, folder: Path) -> tuple[Counts, list[str]]:
-    """All trials: how many of each kind, and what went wrong."""
+def carry_out(
+    kills: int, corruptions: int, seed: int, folder: Path, minutes: float = float("inf")
+) -> tuple[Counts, list[str]]:
+    """All trials, or as many as there is time for: how many of each kind, and what went wrong."""
+    end = time.monotonic() + 60 * minutes
     rng, counts, faults = random.Random(seed), Counts(), list[str]()
 
     def count(kind: str, fault: str | None) -> None:
@@ -164,6 +168,8 @@ def carry_out(kills: int, corruptions: int, seed: int, folder: Path) -> tuple[Co
             count(f"corrupted {kind}", fault)
         shutil.rmtree(place)
     for i in range(kills):
+        if time.monotonic() > end:
+            break
         place = folder / f"run-{i}"
         place.mkdir()
         whom, fault = try_kill(place, rng)
@@ -177,10 +183,11 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--corruptions", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="no kill is begun later")
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder))
+        counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder), given.minutes)
     figures = {"seed": given.seed, "trials": dict(sorted(counts.items())), "failed": len(faults), "faults": faults}
     text = json.dumps(figures, indent=2) + "\n"
     sys.stdout.write(text)
