@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint fuzz-captures clean
+.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -54,6 +54,19 @@ format: .venv/.installed ## fix what can be fixed, and format
 	.venv/bin/ruff check --fix --quiet . || true
 	.venv/bin/ruff format .
 
+# What is known against the locked packages; an environment of its own, and the network.
+AUDIT_ENV := .cache/audit-env
+$(AUDIT_ENV)/.installed: $(UV)
+	$(UV) venv --quiet --allow-existing $(AUDIT_ENV)
+	$(UV) pip install --quiet --python $(AUDIT_ENV)/bin/python pip-audit
+	@touch $@
+
+audit: $(AUDIT_ENV)/.installed ## known vulnerabilities of the locked packages, and an SBOM in .cache/sbom.json
+	$(UV) export --quiet --locked --all-packages --no-emit-workspace --no-hashes | grep -v "== 'never'" > .cache/requirements.txt
+	$(AUDIT_ENV)/bin/pip-audit --disable-pip --no-deps --requirement .cache/requirements.txt \
+	    --format cyclonedx-json --output .cache/sbom.json || true
+	$(AUDIT_ENV)/bin/pip-audit --disable-pip --no-deps --requirement .cache/requirements.txt
+
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
 	.venv/bin/python containers/build.py $(BUILD)
 
@@ -90,6 +103,17 @@ bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal si
 
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
+
+# The peers live in environments of their own.
+PEERS := .cache/peers
+$(PEERS)/%/.installed: $(UV)
+	$(UV) venv --quiet --allow-existing $(PEERS)/$*
+	$(UV) pip install --quiet --python $(PEERS)/$*/bin/python $*
+	@touch $@
+
+bench-overhead: .venv/.installed $(PEERS)/dvc/.installed $(PEERS)/snakemake/.installed ## no-op stages against DVC and Snakemake: cost, kills, damage
+	$(TEST_ENV) .venv/bin/python -m benchmarks.overhead --dvc $(PEERS)/dvc/bin/dvc \
+	    --snakemake $(PEERS)/snakemake/bin/snakemake --out benchmarks/results/overhead.json $(BENCH_OPTIONS)
 
 fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
 	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)

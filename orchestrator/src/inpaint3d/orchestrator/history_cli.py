@@ -8,11 +8,12 @@ import typer
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.contracts.store import open_store
+from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import comparison, housekeeping
 from inpaint3d.orchestrator.history import History, is_killed
 from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, RunsPath, StorePath
 from inpaint3d.orchestrator.plan import find_pipeline
+from inpaint3d.orchestrator.provenance import find_unproved
 from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.run_folder import own_folder
 from inpaint3d.orchestrator.tables import print_table, printable, show_nodes
@@ -78,11 +79,17 @@ def verify(
     repair: Annotated[
         bool, typer.Option("--repair", help="put what is bad in quarantine, to be computed again")
     ] = False,
+    provenance: Annotated[
+        str | None, typer.Option(metavar="RUN", help="prove what the last run of this name was made from, instead")
+    ] = None,
 ) -> None:
     """Hash every artifact, key record and listing in the store, and say what is bad or gone.
 
-    Exit codes: 0 nothing bad, or all of it mended; 3 something bad is left.
+    Exit codes: 0 nothing bad, or all of it mended; 3 something bad is left, or not proved.
     """
+    if provenance is not None:
+        _prove(open_store(store), provenance)
+        return
     found = list(housekeeping.find_damage(open_store(store)))
     for damage in found:
         sys.stdout.write(printable(damage.what) + "\n")
@@ -92,6 +99,17 @@ def verify(
     sys.stderr.write(f"{len(found)} damaged, {len(found) - len(left)} mended")
     sys.stderr.write("; `inpaint3d verify --repair` mends what can be\n" if left and not repair else "\n")
     raise typer.Exit(BadInputError.exit_code if left else 0)
+
+
+def _prove(store: Store, name: str) -> None:
+    record = History(store).latest(name)
+    unproved = list(find_unproved(store, record))
+    for what in unproved:
+        sys.stdout.write(printable(what) + "\n")
+    nodes = [n for n in record.nodes if n.status in ("done", "cached")]
+    if unproved:
+        raise BadInputError(f"{name}: {len(unproved)} things are not what its record says; run it again")
+    sys.stderr.write(printable(f"{name}: {len(nodes)} results follow from {', '.join(record.externals)}\n"))
 
 
 def compare(
