@@ -65,7 +65,7 @@ audit: $(AUDIT_ENV)/.installed ## known vulnerabilities of the locked packages, 
 	$(UV) export --quiet --locked --all-packages --no-emit-workspace --no-hashes | grep -v "== 'never'" > .cache/requirements.txt
 	$(AUDIT_ENV)/bin/pip-audit --disable-pip --no-deps --requirement .cache/requirements.txt \
 	    --format cyclonedx-json --output .cache/sbom.json || true
-	$(AUDIT_ENV)/bin/pip-audit --disable-pip --no-deps --requirement .cache/requirements.txt
+	$(AUDIT_ENV)/bin/pip-audit --strict --disable-pip --no-deps --requirement .cache/requirements.txt
 
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
 	.venv/bin/python containers/build.py $(BUILD)
