@@ -32,8 +32,11 @@ test: .venv/.installed ## all tests: fast ones first, the real small pipeline la
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m "not slow and not kubernetes"
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m slow
 
-test-faults: .venv/.installed ## random kills and corruptions, counted; hours [TRIALS="--kills 1000 --corruptions 500"]
+test-faults: .venv/.installed ## kills, corruptions, damaged inputs, writes that fail, counted; hours [TRIALS="--kills 1000 --corruptions 500"]
 	$(TEST_ENV) .venv/bin/python -m tests.faults.trials --out benchmarks/results/reliability.json $(TRIALS)
+	$(TEST_ENV) .venv/bin/python -m tests.faults.fuzz
+	$(TEST_ENV) .venv/bin/python -m tests.faults.write_sites
+	$(TEST_ENV) .venv/bin/python -m tests.faults.beside_gc
 
 test-kubernetes: .venv/.installed ## every image as a Job of a real cluster [INPAINT3D_CLUSTER, INPAINT3D_IMAGES, AWS_*]
 	.venv/bin/python -m pytest -q -s -rs -m kubernetes tests/kubernetes
@@ -62,9 +65,8 @@ $(AUDIT_ENV)/.installed: $(UV)
 	@touch $@
 
 audit: $(AUDIT_ENV)/.installed ## known vulnerabilities of the locked packages, and an SBOM in .cache/sbom.json
+	$(UV) export --quiet --locked --all-packages --format cyclonedx1.5 --output-file .cache/sbom.json
 	$(UV) export --quiet --locked --all-packages --no-emit-workspace --no-hashes | grep -v "== 'never'" > .cache/requirements.txt
-	$(AUDIT_ENV)/bin/pip-audit --disable-pip --no-deps --requirement .cache/requirements.txt \
-	    --format cyclonedx-json --output .cache/sbom.json || true
 	$(AUDIT_ENV)/bin/pip-audit --strict --disable-pip --no-deps --requirement .cache/requirements.txt
 
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
@@ -114,6 +116,8 @@ $(PEERS)/%/.installed: $(UV)
 bench-overhead: .venv/.installed $(PEERS)/dvc/.installed $(PEERS)/snakemake/.installed ## no-op stages against DVC and Snakemake: cost, kills, damage
 	$(TEST_ENV) .venv/bin/python -m benchmarks.overhead --dvc $(PEERS)/dvc/bin/dvc \
 	    --snakemake $(PEERS)/snakemake/bin/snakemake --out benchmarks/results/overhead.json $(BENCH_OPTIONS)
+	$(TEST_ENV) .venv/bin/python -m benchmarks.peer_faults --dvc $(PEERS)/dvc/bin/dvc \
+	    --snakemake $(PEERS)/snakemake/bin/snakemake --out benchmarks/results/peer_faults.json
 
 fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
 	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)
