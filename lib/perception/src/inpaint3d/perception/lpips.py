@@ -80,7 +80,7 @@ class Lpips:
 
         Small pictures are both `enlarge`.
         """
-        return float(self.difference(*(_batch(picture) for picture in (image, truth))))
+        return float(self.difference(*(_batch(picture).to(self.heads[0].device) for picture in (image, truth))))
 
 
 def safe_length(features: Tensor) -> Tensor:
@@ -90,8 +90,10 @@ def safe_length(features: Tensor) -> Tensor:
 
 
 @cache
-def load(network: Network) -> Lpips:
-    """The network with its weights. Raises ValueError where the installed file is not the one that was checked."""
+def load(network: Network, device: torch.device | str = "cpu") -> Lpips:
+    """The network with its weights on a device. Raises ValueError where the installed file is not the one that was
+    checked.
+    """
     arrays = _read(network)
     if network == "alex":
         shape = [(4, 2, 0, True), (1, 2, 3, True), (1, 1, 3, True), (1, 1, 0, True), (1, 1, 0, True)]
@@ -100,10 +102,12 @@ def load(network: Network) -> Lpips:
         shape = [(1, 1, 2 if i in pools else 0, i in taps) for i in range(13)]
     body = arrays["AlexNet_0" if network == "alex" else "VGG16_0"]
     layers = tuple(
-        Convolution(_oihw(body[f"Conv_{i}"]["kernel"]), torch.from_numpy(body[f"Conv_{i}"]["bias"]), *rest)
+        Convolution(
+            _oihw(body[f"Conv_{i}"]["kernel"]).to(device), torch.from_numpy(body[f"Conv_{i}"]["bias"]).to(device), *rest
+        )
         for i, rest in enumerate(shape)
     )
-    heads = tuple(_oihw(arrays[f"NetLinLayer_{i}"]["Conv_0"]["kernel"]) for i in range(5))
+    heads = tuple(_oihw(arrays[f"NetLinLayer_{i}"]["Conv_0"]["kernel"]).to(device) for i in range(5))
     return Lpips(layers, heads)
 
 
