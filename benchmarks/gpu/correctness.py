@@ -126,11 +126,11 @@ def learn(device: str) -> dict[str, Any]:
 
 def compare_example(device: str) -> dict[str, Any]:
     """The mean difference of colours, of which the last bits decide between patches that are alike."""
-    rows, columns = np.mgrid[:96, :96]
+    rows, columns = np.mgrid[:64, :64]
     image = (0.5 + 0.4 * np.stack([np.sin(rows / 5), np.cos(columns / 7), np.sin((rows + columns) / 9)], -1)).astype(
         "f4"
     )
-    hole = (rows - 50) ** 2 + (columns - 40) ** 2 < 18**2
+    hole = (rows - 34) ** 2 + (columns - 28) ** 2 < 12**2
     here, there = (fill_by_example(image, hole, ~hole, device=where) for where in ("cpu", device))
     return verdict(float(np.abs(here - there)[hole].mean()), 0.02)
 

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib.metadata
+import tempfile
 import time
 from functools import partial
 from pathlib import Path
@@ -52,34 +53,11 @@ def measure(options: argparse.Namespace, results: Results) -> None:
     lesson = lesson_of(config, spec, training, held_out, device=device)
     results.put("pictures", {"training": len(training), "held_out": len(held_out)})
     ends = results.until - RESERVED * results.left_s
-    rate = _time_steps(config, lesson, device, pretrained)
-    steps = max(4, int(0.97 * (ends - time.monotonic()) / rate))
-    if options.tiny:
-        steps = min(steps, TINY_STEPS)
-    rows = max(1, min(steps, round((ends - time.monotonic()) / ROW_S)))
-    config = config.model_copy(update={"steps": steps, "curve_rows": rows, "prior": spec})
-    results.put("planned", {"seconds_per_step": round(rate, 4), "steps": steps, "samples": steps * config.batch})
-    session = Session(options, results, config, lesson, pretrained, ends)
+    session = Session(options, results, config.model_copy(update={"prior": spec}), lesson, pretrained, ends)
+    session.plan()
     session.run()
     results.attempt("table", session.judge)
     results.attempt("grid", session.draw)
-
-
-def _time_steps(config: Config, lesson: Lesson, device: str, pretrained: Artifact[DiffusionPrior] | None) -> float:
-    """Wall seconds of a step of the real training, pictures included, after the first ones."""
-    ctx = Context(seed=1, device=device, threads=1, work=Path(), emit=_ignore)
-    start = load_pretrained(pretrained) if pretrained else None
-    spec = pretrained.metadata.spec if pretrained else config.prior
-    state = begin_or_resume(config, spec, start, ctx, Path("no checkpoint"))
-    count = 3 if device == "cpu" else TIMED_STEPS
-    began = 0.0
-    for step, batches in enumerate(make_ahead(partial(draw_batches, lesson, config, 1, [0]), range(3 * count), device)):
-        if step == count:
-            began = wait_for(device)
-        generator = step_generators(1, step, 0, device)[1]
-        batch = batches[0].to(device)
-        train_step(state, lambda prior, b=batch, g=generator: denoising_loss(prior, b, g), learning_rate=1e-4)
-    return (wait_for(device) - began) / (2 * count)
 
 
 class Session:
@@ -94,18 +72,35 @@ class Session:
         pretrained: Artifact[DiffusionPrior] | None,
         ends: float,
     ) -> None:
-        self.options, self.results, self.config, self.lesson, self.pretrained = (
-            options,
-            results,
-            config,
-            lesson,
-            pretrained,
-        )
-        work = options.out / "work"
-        work.mkdir(exist_ok=True)
+        self.options, self.results, self.config = options, results, config
+        self.lesson, self.pretrained = lesson, pretrained
+        work = Path(tempfile.mkdtemp(prefix="prior-"))  # what it holds is not what is sent back
         self.ctx = _Told(self, ends, seed=0, device=options.device, threads=1, work=work, emit=_ignore)
         start = load_pretrained(pretrained) if pretrained else None
         self.state: TrainingState = begin_or_resume(config, config.prior, start, self.ctx, work / "none")
+
+    def plan(self) -> None:
+        """How many steps the time is good for, by some of them, pictures included; they count as none."""
+        count = 3 if self.options.device == "cpu" else TIMED_STEPS
+        draw = partial(draw_batches, self.lesson, self.config, 1, [0])
+        began = 0.0
+        for step, batches in enumerate(make_ahead(draw, range(3 * count), self.options.device)):
+            if step == count:  # those before compile, and fill what is made ahead
+                began = wait_for(self.options.device)
+            generator = step_generators(1, step, 0, self.options.device)[1]
+            loss_of = partial(denoising_loss, batch=batches[0].to(self.options.device), generator=generator)
+            train_step(self.state, loss_of, learning_rate=1e-4)
+        rate = (wait_for(self.options.device) - began) / (2 * count)
+        self.state.step = 0
+        self.state.pending.clear()
+        left = self.ctx.ends - time.monotonic()
+        steps = max(4, int(0.97 * left / rate))
+        if self.options.tiny:
+            steps = min(steps, TINY_STEPS)
+        rows = max(1, min(steps, round(left / ROW_S)))
+        self.config = self.config.model_copy(update={"steps": steps, "curve_rows": rows})
+        planned = {"seconds_per_step": round(rate, 4), "steps": steps, "samples": steps * self.config.batch}
+        self.results.put("planned", planned)
 
     def run(self) -> None:
         """Train until the steps are done or the time is over; either way the weights are written."""

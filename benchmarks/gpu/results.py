@@ -9,6 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+SHOWN = 200
+"""Characters of a figure that are said; the file has all."""
+
 
 @dataclass
 class Results:
@@ -30,7 +33,7 @@ class Results:
         staged = self.path.with_suffix(".new")
         staged.write_text(json.dumps(every, indent=1) + "\n")
         staged.replace(self.path)
-        print(f"{time.monotonic() - self.started:7.1f} s  {self.part}: {name}: {json.dumps(value)}", flush=True)
+        print(f"{time.monotonic() - self.started:7.1f} s  {self.part}: {name}: {json.dumps(value)[:SHOWN]}", flush=True)
 
     def attempt(self, name: str, work: Callable[[], Any], needs_s: float = -math.inf) -> None:
         """Put what some work returns; or why it failed, or that too little time was left for it. Never raises."""

@@ -1,6 +1,7 @@
 """A field under way: of the made-up room, or of a scene that was posed before."""
 
 import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed
-from inpaint3d.scene.synthetic import synthetic_scene
+from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import Known, one_step
 
@@ -61,8 +62,7 @@ def preset(name: str) -> Config:
 def room_fit(device: str, *, tiny: bool, config: Config | None = None, backend: backends.Name | None = None) -> Fit:
     """A field of the made-up room."""
     config = config or (Config.model_validate(TINY) if tiny else preset("standard"))
-    size = {"views": 12} if tiny else {"views": 36, "width": 320, "height": 240}
-    room = synthetic_scene(**size)
+    room = _room(12, 48, 36) if tiny else _room(36, 320, 240)
     train = [i for i in range(len(room.names)) if i % EVERY]
     plan = EffectPlan(effects=tuple(_effect(name) for name in ("contraction", "exposure", "view-dependence")))
     spec = field_spec(
@@ -74,6 +74,11 @@ def room_fit(device: str, *, tiny: bool, config: Config | None = None, backend: 
     )  # fmt: skip
     photos = [KnownPhoto(room.cameras[i], room.images[i], everywhere) for i in range(len(room.names)) if i not in train]
     return Fit(config, spec, Known(pixels), HeldOut.on_lattice(photos, 48, device), device, backend)
+
+
+@cache
+def _room(views: int, width: int, height: int) -> SyntheticScene:
+    return synthetic_scene(views, width, height)
 
 
 def _effect(name: str) -> Effect:

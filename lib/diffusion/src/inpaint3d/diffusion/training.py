@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from safetensors.torch import load_file, save_file
 from torch import Tensor
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from inpaint3d.contracts.kit.checkpoints import OPEN_SEAL, find_checkpoint, write_checkpoint
 from inpaint3d.contracts.models.artifacts.prior import PriorSpec
@@ -186,9 +187,8 @@ def train_step(
     state.optimiser.step()
     # Warm-up: early on the average must forget the random start faster than the final decay would.
     decay = min(ema, (1 + state.step) / (10 + state.step))
-    with torch.no_grad():
-        # As torch.optim.swa_utils does it: one launch for all weights on a GPU, the same numbers anywhere.
-        torch._foreach_lerp_(list(state.average.parameters()), list(state.prior.parameters()), 1 - decay)
+    # All weights at once: on a GPU a few launches, not one for each.
+    get_ema_multi_avg_fn(decay)(list(state.average.parameters()), list(state.prior.parameters()), None)
     state.pending.append(loss.item())
     return state.pending[-1]
 
