@@ -157,7 +157,7 @@ def _fit_of(options: argparse.Namespace) -> Fit:
         return room_fit(options.device, tiny=True)
     config: Config = preset("standard")
     if options.device != "cpu":
-        config = config.model_copy(update={"rays": 8192, "first_rays": 2048})
+        config = config.model_copy(update={"rays": 8192, "first_rays": 8192, "ramp_steps": 0})
     return (
         scene_fit(options.scene, options.device, config)
         if options.scene
