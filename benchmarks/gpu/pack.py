@@ -40,7 +40,7 @@ PLATFORMS = ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux_2_17_x
 PIP = REPOSITORY / ".cache" / "uv-home" / "bin" / "pip"
 MIB = 2**20
 SPARE_MIB = 0.5
-QUALITY = 90
+QUALITY = 86
 """Of the JPEGs."""
 
 
@@ -73,7 +73,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--scene", type=Path)
     parser.add_argument("--limit-mib", type=float, default=60.0, help="of all together")
     parser.add_argument("--corpus-mb", type=float, default=45.0, help="of the pictures, at most")
-    parser.add_argument("--short-side", type=int, default=192, help="of the pictures, pixels; smaller ones stay")
+    parser.add_argument("--short-side", type=int, default=176, help="of the pictures, pixels; smaller ones stay")
     parser.add_argument(
         "--held-out", type=float, default=0.0753, help="share of scenes for judging, as priors/README.md"
     )
