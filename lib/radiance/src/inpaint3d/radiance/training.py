@@ -87,7 +87,7 @@ def descend(
     """
     step = optimizer.steps
     field.zero_grad()
-    values = {name: float(term.detach()) for name, term in terms.items()}
+    values = dict(zip(terms, torch.stack([term.detach() for term in terms.values()]).tolist(), strict=True))
     for name, value in values.items():
         if not math.isfinite(value):
             non_finite[f"loss.{name}"] = non_finite.get(f"loss.{name}", 0) + 1

@@ -245,10 +245,11 @@ def adam_step(
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
     how: AdamStep,
-) -> int:
+) -> int | Tensor:
     """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v.
 
-    Numbers whose gradient is not finite are left alone, moments too: how many is returned.
+    Numbers whose gradient is not finite are left alone, moments too: how many is returned, as a tensor: whoever reads
+    it waits for the device.
     """
     step, lr, beta1, beta2, eps, decay, sparse = how
     finite = torch.isfinite(grad)
@@ -260,4 +261,4 @@ def adam_step(
     to = param - step_size * first / ((second / (1 - beta2**step)).sqrt_() + eps)
     for part, moved in ((param, to), (m, first), (v, second)):
         part.copy_(torch.where(moves, moved, part))
-    return int(finite.numel() - finite.sum())
+    return finite.numel() - finite.sum()

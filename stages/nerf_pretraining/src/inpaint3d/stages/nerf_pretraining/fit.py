@@ -43,7 +43,7 @@ class Known(NamedTuple):
 def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
     """Fit the field to what is known and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
     optimizer = Adam.of(field, config.optimizer, config.loss_weights)
-    generator = torch.Generator().manual_seed(ctx.seed)
+    generator = torch.Generator(field.device).manual_seed(ctx.seed)
     tally = Tally()
     path = ctx.work / CHECKPOINT
     if (kept := load_checkpoint(path, field, optimizer, generator)) is not None:
@@ -86,7 +86,7 @@ def one_step(
         toward = known.sight_lines.draw(config.line_of_sight_rays, generator)
         rays = join_rays([rays, toward.rays])
     # Random background: a field that stays transparent cannot predict it, so that what the photos show becomes opaque.
-    background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
+    background = torch.rand(len(rays.origins), 3, generator=generator, device=generator.device).to(target)
     anneal = proposal_anneal(step, how.proposal_anneal_steps) if how.proposal_anneal_steps else 1.0
     rendering = render(
         field, rays, generator=generator, background=background, anneal=anneal, near_gradient=how.near_gradient

@@ -126,13 +126,14 @@ def complete_from_photos(
     *,
     seed: int,
     paintings: Mapping[str, Painting] | None = None,
+    device: str = "cpu",
     tick: Tick | None = None,
 ) -> tuple[list[Completion], str, list[str]]:
     """Each view with nothing missing, how they came about in words, and the views in which something was made up.
 
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
     alone. points: sparse points [n, 3] that no mask covers, scene units. paintings: by view, first those that count
-    more; each is taken before anything else is made up.
+    more; each is taken before anything else is made up. device: where patches are compared.
     """
     say = tick or _ignore
     steps = len(views) + method.max_reference_views + len(paintings or {}) + 1
@@ -156,7 +157,7 @@ def complete_from_photos(
         references.append(reference.view.name)
         say(steps - 1 - method.max_reference_views + len(references), steps, f"making up {reference.view.name}")
         _span_unsure(reference)
-        _fill_gaps(reference, method.variety, seed)
+        _fill_gaps(reference, method.variety, seed, device)
         _carry_to_others(reference, drafts)
     for draft in drafts:
         _span_unsure(draft)
@@ -268,7 +269,7 @@ def _take_painting(draft: Draft, painting: Painting, appearance: AppearanceMap) 
     draft.fill(painting.mask & draft.view.hole & (draft.sources != PAINTED), painted, PAINTED)
 
 
-def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
+def _fill_gaps(draft: Draft, variety: float, seed: int, device: str) -> None:
     """Close the cracks, then fill each gap by example from the surfaces around it."""
     gaps = draft.gaps
     cracks = draft.missing & ~grow(gaps, 1)
@@ -285,7 +286,9 @@ def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
         box = (rows, columns)
         colours = draft.picture.copy()
         blank = draft.missing | ~(draft.view.known | draft.view.hole)
-        colours[box] = fill_by_example(draft.picture[box], blank[box], source[box], variety=variety, seed=seed)
+        colours[box] = fill_by_example(
+            draft.picture[box], blank[box], source[box], variety=variety, seed=seed, device=device
+        )
         draft.fill(gap, colours, EXAMPLE)
 
 

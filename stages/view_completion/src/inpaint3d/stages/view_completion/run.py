@@ -43,6 +43,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
                 method,
                 seed=ctx.seed,
                 paintings=load_paintings(inputs.optional("painted-views", PaintedViews), scene.train),
+                device=ctx.device,
                 tick=ctx.progress,
             )
         case Classical():
