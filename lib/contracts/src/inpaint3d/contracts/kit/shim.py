@@ -24,7 +24,14 @@ from typing import Any, TextIO, TypeVar
 
 from pydantic import ValidationError
 
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, find_os_error, from_os_error
+from inpaint3d.contracts.errors import (
+    ConfigurationError,
+    DoubtfulError,
+    Inpaint3dError,
+    InterruptedRun,
+    find_os_error,
+    from_os_error,
+)
 from inpaint3d.contracts.kit.blame import find_fault
 from inpaint3d.contracts.kit.code import code_digest, save_code
 from inpaint3d.contracts.kit.context import Context, Emit, Inputs, Outputs
@@ -206,6 +213,8 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
             die_with_parent()
         announce_threads(invocation.threads)
         record = execute(module, open_store(place), invocation, events)
+        if record.doubts and not invocation.accept_doubtful:
+            raise DoubtfulError(record.doubts)
         if outputs is not None:
             _write_outputs(outputs, stage_spec(module), record)
     except Inpaint3dError as error:

@@ -27,8 +27,8 @@ class Protocol(Closed):
 class Evaluation(Closed):
     """Figures by protocol; `per_view.csv`, `pictures/`, and a self-contained `report.html`.
 
-    The report has one line `<!-- inpaint3d:run -->` where the orchestrator puts the run's times, which are
-    not part of the artifact.
+    The report has a line `<!-- inpaint3d:doubts -->` and a line `<!-- inpaint3d:run -->` where the orchestrator puts
+    why the run's results cannot be right, and its times, which are not part of the artifact.
     """
 
     protocols: tuple[Protocol, ...]
