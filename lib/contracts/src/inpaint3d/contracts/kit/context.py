@@ -134,7 +134,7 @@ class Context:
         self._emit("log", message=message, **values)
 
     def doubt(self, message: str) -> None:
-        """Say that the result cannot be right, with figures and the repair: a run stops there unless a person insists."""
+        """Say why the result cannot be right, with figures and the repair; the run stops unless somebody insists."""
         self.doubts.append(message)
         self.log(f"doubtful: {message}")
 

@@ -60,6 +60,7 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
             height=height,
             exif=read_exif(header, width, height),
             camera=frame.camera,
+            other_pose=frame.other_pose,
             mask=None if mask is None else f"masks/{frame.name}.png",
         ),
         None if mask is None else float(mask.mean()),

@@ -41,6 +41,17 @@ class Config(Closed):
         default=1.5, description="degrees; median triangulation angle below which depth cannot be told"
     )
     min_points: Count = Field(default=20, description="sparse points that must be found")
+    min_agreement: Share = Field(
+        default=0.7, description="share of the verified matches that must agree with the cameras"
+    )
+    min_view_agreement: Share = Field(
+        default=0.4, description="the same of each single view of cameras that came with the capture"
+    )
+    largest_epipolar_px: Positive = Field(
+        default=4.0,
+        description="pixels at the captured size per 1000 of its longest side; how far from its epipolar line a match "
+        "may be to agree with cameras",
+    )
     largest_error_px: Positive = Field(
         default=4.0, description="pixels at the captured size per 1000 of its longest side; mean reprojection error"
     )

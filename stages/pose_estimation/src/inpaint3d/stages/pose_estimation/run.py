@@ -29,10 +29,11 @@ from inpaint3d.scene.capture_io import (
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.known import known_lens, take_other_poses
 from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
 from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
-from inpaint3d.stages.pose_estimation.solve import Solved, known_lens, link_pictures, solve
+from inpaint3d.stages.pose_estimation.solve import Solved, link_pictures, solve
 from inpaint3d.stages.pose_estimation.truth import Registered, register
 from inpaint3d.stages.pose_estimation.undistort import Undistorter
 
@@ -108,6 +109,8 @@ def write_truth(
 ) -> None:
     """Truth views in the same world, undistorted alike; none is written where none can be placed."""
     given = truth.metadata.frames
+    if solved.other_order:
+        given = take_other_poses(given)
     if solved.source == "known" and all(f.camera is not None for f in given):
         model, placed = _known_truth(solved.model, given)
     else:

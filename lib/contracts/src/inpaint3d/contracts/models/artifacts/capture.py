@@ -51,6 +51,11 @@ class CapturedFrame(Closed):
     height: Annotated[int, Field(ge=1)]
     exif: Exif = Exif()
     camera: KnownCamera | None = None
+    other_pose: Pose | None = Field(
+        default=None,
+        description="the camera's pose where cameras without names follow the pictures' names as numbers, not as text; "
+        "pose-estimation takes the order that the pictures support",
+    )
     mask: RelativePath | None = Field(
         default=None, description="masks/NAME.png, 8-bit, > 127 inside the hole, same size as the frame"
     )

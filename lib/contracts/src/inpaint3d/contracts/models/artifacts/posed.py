@@ -45,6 +45,9 @@ class Registration(Closed):
     registered: int
     unregistered: tuple[FrameName, ...] = ()
     mean_reprojection_error_px: Finite
+    agreement: Share | None = Field(
+        default=None, description="share of the verified matches between its views that agree with the cameras"
+    )
     points: int
     median_triangulation_angle_deg: Finite
 
