@@ -100,11 +100,11 @@ def test_errors_of_a_stage_are_never_blamed_on_its_invocation(stage, way, code, 
 def test_a_doubtful_result_is_kept_and_stops_until_somebody_insists(stage):
     store, run = stage
     for _ in range(2):  # the second time it is found
-        result = run("doubtful")
+        result = run("doubtful", accept_doubtful=False)
         assert result.code == 6
         assert result.error == "3 dB; take more photos. The result is kept: --accept-doubtful goes on with it"
     (record,) = store.records()
-    accepted = run("doubtful", accept_doubtful=True)
+    accepted = run("doubtful")
     assert (accepted.code, accepted.outputs) == (0, record.outputs)
     assert accepted.events[-1]["key"] == record.key
 

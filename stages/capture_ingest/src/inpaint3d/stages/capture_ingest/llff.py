@@ -52,7 +52,7 @@ def describe_order(pictures: list[Path], cameras: dict[Path, RowCamera]) -> list
     if cameras[pictures[0]].other_pose is None:
         return [f"the rows of {FILE} are taken {order}"]
     return [
-        f"the rows of {FILE} have no names: {order}, or as numbers; pose-estimation takes what the pictures support"
+        f"the rows of {FILE} have no names: {order}, or as numbers: pose-estimation takes what the pictures support"
     ]
 
 

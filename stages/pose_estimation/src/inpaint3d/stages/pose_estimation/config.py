@@ -42,7 +42,7 @@ class Config(Closed):
     )
     min_points: Count = Field(default=20, description="sparse points that must be found")
     min_agreement: Share = Field(
-        default=0.7, description="share of the verified matches that must agree with the cameras"
+        default=0.7, description="share of the verified matches that must agree with the cameras; 0: whatever they say"
     )
     min_view_agreement: Share = Field(
         default=0.4, description="the same of each single view of cameras that came with the capture"

@@ -77,8 +77,10 @@ def check(
     """BadInputError where pictures contradict their cameras or show nothing. `features`: how many each picture has."""
     names = [frame.name for frame in frames]
     gate.check_blank([name for name, count in zip(names, features, strict=True) if count < gate.BLANK])
-    cameras, agreement = _cameras(frames), _agreement(frames, pairs, config)
-    gate.check_agreement(agreement, find_repair(pairs, cameras, tolerance(config)), frames, config)
+    cameras = _cameras(frames)
+    if config.min_agreement > 0:
+        repair = find_repair(pairs, cameras, tolerance(config))
+        gate.check_agreement(_agreement(frames, pairs, config), repair, frames, config)
     gate.check_spread(np.array([pose[:, 3] for pose in cameras.world_from_cam]), names)
 
 
