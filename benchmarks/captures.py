@@ -13,20 +13,22 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
-
 from benchmarks.provenance import REPOSITORY, commit
+
 from inpaint3d.contracts.errors import BadInputError, Inpaint3dError
 from inpaint3d.contracts.kit.context import Context
-from inpaint3d.contracts.kit.shim import Invocation, execute
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, Source
-from inpaint3d.contracts.store import Artifact, FolderStore
+from inpaint3d.contracts.kit.invocation import Invocation
+from inpaint3d.contracts.kit.shim import execute
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCamera, PosedCapture, Source
+from inpaint3d.contracts.store import Artifact, FolderStore, Record
 from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.image_io import read_image, write_png
 from inpaint3d.stages.pose_estimation.config import Config
@@ -188,16 +190,18 @@ def _scaled(params: tuple[float, ...], factor: float) -> tuple[float, ...]:
     return (*(p * factor for p in params[:4]), *params[4:])  # PINHOLE and OPENCV
 
 
-def put(store: FolderStore, pictures: list[np.ndarray], cameras: list, *, ordered: bool) -> Artifact[Capture]:
+def put(
+    store: FolderStore, pictures: list[np.ndarray], cameras: Sequence[KnownCamera | None], *, ordered: bool
+) -> Artifact[Capture]:
+    """Pictures, with their cameras where there are any, as a capture."""
     place = store.private_folder()
     frames: Frames = []
     for i, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
-        write_png(place / f"frames/f_{i:03d}.png", picture)
-        height, width = picture.shape[:2]
-        frames.append(CapturedFrame(name=f"f_{i:03d}", path=f"frames/f_{i:03d}.png", width=width, height=height, camera=camera))  # fmt: skip
-    return store.open(
-        store.put(place, "capture", Capture(layout="photos", ordered=ordered, frames=tuple(frames))), Capture
-    )
+        name, (height, width) = f"f_{i:03d}", picture.shape[:2]
+        write_png(place / f"frames/{name}.png", picture)
+        frames.append(CapturedFrame(name=name, path=f"frames/{name}.png", width=width, height=height, camera=camera))
+    metadata = Capture(layout="photos", ordered=ordered, frames=tuple(frames))
+    return store.open(store.put(place, "capture", metadata), Capture)
 
 
 def with_frames(store: FolderStore, artifact: Artifact[Capture], frames: Frames) -> Artifact[Capture]:
@@ -225,7 +229,9 @@ def judge(artifact: Artifact[Capture], database: Path | None, work: Path) -> tup
     except BadInputError as refusal:
         return " / ".join([*logged, str(refusal)]), False, time.process_time() - began
     r = solved.registration
-    said = f"{r.registered} of {r.given} views, {r.agreement:.1%} of the matches agree, {r.mean_reprojection_error_px:.2f} px"
+    said = (
+        f"{r.registered} of {r.given} views, {r.agreement:.1%} of matches agree, {r.mean_reprojection_error_px:.2f} px"
+    )
     return " / ".join([*logged, said]), True, time.process_time() - began
 
 
@@ -281,7 +287,7 @@ def _fit(store: FolderStore, artifact: Artifact[Capture]) -> tuple[tuple[str, ..
     )
 
 
-def _stage(store: FolderStore, name: str, inputs: dict, parameters: dict):
+def _stage(store: FolderStore, name: str, inputs: dict[str, Any], parameters: dict[str, Any]) -> Record:
     return execute(f"{STAGES}{name}", store, Invocation(inputs=inputs, parameters=parameters, threads=1), StringIO())
 
 
@@ -329,10 +335,9 @@ def main() -> None:
             for study in studies:
                 for row in study:
                     rows = [r for r in rows if (r.scene, r.capture) != (row.scene, row.capture)] + [row]
-                    print(
-                        f"| {row.scene} | {row.capture} | {'passes' if row.passed else 'stopped'} | {row.where} | {row.said} | {row.cpu_s} |",
-                        flush=True,
-                    )
+                    verdict = "passes" if row.passed else "stopped"
+                    cells = (scene, row.capture, verdict, row.where, row.said, row.cpu_s)
+                    print(f"| {' | '.join(map(str, cells))} |", flush=True)
                     RESULTS.write_text(json.dumps({**commit(), "rows": [asdict(r) for r in rows]}, indent=1) + "\n")
     wrong = [r for r in rows if r.passed != r.good]
     print(f"{len(rows)} captures, {len(wrong)} judged wrongly")

@@ -231,6 +231,32 @@ def test_exif_focal_is_in_pixels(tmp_path):
     assert exif.camera == "M"
 
 
+@pytest.mark.parametrize(
+    ("attributes", "position"),
+    [
+        ({"LatitudeRef": "N", "LongitudeRef": "E", "Altitude": 431.5}, (47.5025, 8.25, 431.5)),
+        ({"LatitudeRef": "S", "LongitudeRef": "W"}, (-47.5025, -8.25, 0.0)),
+        ({"LatitudeRef": "N", "LongitudeRef": "E", "Latitude": (0.0, 0.0, 0.0), "Longitude": (0.0, 0.0, 0.0)}, None),
+        (None, None),
+    ],
+)
+def test_a_place_by_gps(tmp_path, attributes, position):
+    """Cameras without reception write zeros."""
+    import OpenImageIO as oiio  # noqa: N813
+
+    spec = oiio.ImageSpec(60, 40, 3, "uint8")
+    angles = {"Latitude": (47.0, 30.0, 9.0), "Longitude": (8.0, 15.0, 0.0)}
+    for name, value in ({**angles, **attributes} if attributes else {}).items():
+        kind = oiio.TypeDesc("float[3]") if isinstance(value, tuple) else None
+        spec.attribute(f"GPS:{name}", *((kind, value) if kind else (value,)))
+    out = oiio.ImageOutput.create(str(tmp_path / "a.jpg"))
+    out.open(str(tmp_path / "a.jpg"), spec)
+    out.write_image(np.zeros((40, 60, 3), np.uint8))
+    out.close()
+    found = read_exif(read_header(tmp_path / "a.jpg"), 60, 40).position
+    assert (position is None and found is None) or found == pytest.approx(position, abs=1e-4)
+
+
 def test_any_depth_and_any_way_up_become_upright_eight_bit_frames_of_their_own_size(tmp_path):
     import OpenImageIO as oiio  # noqa: N813
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath
+from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath, Vector3
 
 # What photographers deliver and the wheel of OpenImageIO reads.
 PICTURE_SUFFIXES = frozenset(
@@ -29,6 +29,7 @@ class Exif(Closed):
     iso: Positive | None = None
     f_number: Positive | None = None
     camera: str | None = Field(default=None, description="make and model")
+    position: Vector3 | None = Field(default=None, description="by GPS: latitude, longitude in degrees, altitude in m")
 
 
 class KnownCamera(Closed):

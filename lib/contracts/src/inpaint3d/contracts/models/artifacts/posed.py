@@ -52,6 +52,14 @@ class Registration(Closed):
     median_triangulation_angle_deg: Finite
 
 
+class MetricScale(Closed):
+    """How long a scene unit is."""
+
+    metres_per_unit: Positive
+    uncertainty: Positive = Field(description="one standard deviation, as a share of the scale")
+    evidence: str
+
+
 class PosedCapture(Closed):
     """Cameras, undistorted frames and sparse points in the normalised world.
 
@@ -67,6 +75,7 @@ class PosedCapture(Closed):
     lens: LensModel
     registration: Registration
     source_from_normalised_scale: Positive = Field(description="length of one scene unit in the source's units")
+    scale: MetricScale | None = Field(default=None, description="of the normalised world; None: nothing tells")
     source_from_normalised: Pose = Field(description="similarity: source = M[:, :3] @ normalised + M[:, 3]")
     centre_depth: Positive = Field(description="median distance of cameras to the point of interest, scene units")
     up_evidence: str
