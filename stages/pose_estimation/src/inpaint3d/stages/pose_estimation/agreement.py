@@ -67,7 +67,7 @@ def measure_distances(pair: VerifiedPair, cameras: Cameras) -> Floats:
     lines = rays[1] @ essential, rays[0] @ essential.T
     value = np.abs(np.sum(rays[1] * lines[1], 1))
     slope = sum(
-        (max(lens.width, lens.height) / lens.mean_focal_length()) ** 2 * np.sum(line[:, :2] ** 2, 1)
+        (max(lens.width, lens.height) / lens.mean_focal_length()) ** 2 * (np.sum(line**2, 1) - value**2)
         for lens, line in zip(lenses, lines, strict=True)
     )
     possible = _in_front(rays[0] @ relative.T, rays[1], baseline)
@@ -76,9 +76,10 @@ def measure_distances(pair: VerifiedPair, cameras: Cameras) -> Floats:
 
 
 def _rays(lens: pycolmap.Camera, xy: Floats) -> Floats:
-    """Rays [m, 3] of captured pixels in the camera's axes, at depth 1."""
-    plane = np.asarray(lens.cam_from_img(np.ascontiguousarray(xy)))
-    return np.concatenate([plane, np.ones((len(plane), 1))], 1)
+    """Rays [m, 3] of captured pixels in the camera's axes, of length 1: a pixel is an angle, also in a fisheye."""
+    plane = np.asarray(lens.cam_from_img(np.ascontiguousarray(xy)), np.float64)
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], 1)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def _in_front(first: Floats, second: Floats, baseline: Floats) -> Flags:

@@ -35,7 +35,10 @@ class Exif(Closed):
 class KnownCamera(Closed):
     """A camera that came with the data set, in the data set's own world; params in COLMAP's order for the model."""
 
-    model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
+    model: Literal[
+        "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV",
+        "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
+    ]  # fmt: skip
     params: tuple[Finite, ...]
     world_from_cam: Pose
 
