@@ -1,11 +1,12 @@
 """Captures as people should not have them: what is said of each, where, and after how many CPU seconds.
 
-python -m benchmarks.captures [--scene NAME=FOLDER ...] [--field]
+python -m benchmarks.captures [--scene NAME=FOLDER ...] [--study cameras] [--study photos] [--study field]
 
 Scenes are folders with cameras (nerfstudio, LLFF); the demo capture with the renderer's cameras is always one. Pictures
 are reduced to 480 pixels. Features and matches are found once for all scrambles of a scene that leave its pictures
-alone; their time is in each row. --field also fits a field under scrambled cameras with the gate of pose-estimation
-open, to see what is said then. Writes benchmarks/results/captures.json.
+alone; their time is in each row. Studies: `cameras` scrambles those that came with the scene; `photos` scrambles the
+pictures, whose cameras are to be estimated; `field` fits one under scrambled cameras with the gate of pose-estimation
+open, to see what is said then. Rows are kept in benchmarks/results/captures.json until they are measured again.
 """
 
 import argparse
@@ -291,7 +292,7 @@ def _stage(store: FolderStore, name: str, inputs: dict[str, Any], parameters: di
     return execute(f"{STAGES}{name}", store, Invocation(inputs=inputs, parameters=parameters, threads=1), StringIO())
 
 
-def write_demo(folder: Path, every: int = 2) -> Path:
+def write_demo(folder: Path, every: int = 3) -> Path:
     """The demo capture's photos with the renderer's cameras, as nerfstudio has them."""
     demo = REPOSITORY / "examples" / "demo"
     truth = json.loads((demo / "renderer" / "cameras.json").read_text())
@@ -312,8 +313,7 @@ def write_demo(folder: Path, every: int = 2) -> Path:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=FOLDER")
-    parser.add_argument("--field", action="store_true", help="also fit fields under scrambled cameras, demo alone")
-    parser.add_argument("--photos", action="store_true", help="also scramble photos, cameras estimated")
+    parser.add_argument("--study", action="append", choices=["cameras", "photos", "field"], help="default: cameras")
     given = parser.parse_args()
     silence_pycolmap()
     rows: list[Row] = json.loads(RESULTS.read_text())["rows"] if RESULTS.is_file() else []
@@ -324,13 +324,16 @@ def main() -> None:
         folders = {n: Path(f) for n, f in (s.split("=", 1) for s in given.scene)} or {
             "demo": write_demo(work / "demo-capture")
         }
-        other = _pictures(take_in(store, REPOSITORY / "examples" / "demo" / "capture", "demo photos"))
         for scene, folder in folders.items():
             artifact = take_in(store, folder, scene)
-            studies = [study_cameras(store, scene, artifact, work / scene)]
-            if given.photos:
+            chosen = given.study or ["cameras"]
+            studies: list[Iterator[Row]] = []
+            if "cameras" in chosen:
+                studies.append(study_cameras(store, scene, artifact, work / scene))
+            if "photos" in chosen:
+                other = _pictures(take_in(store, REPOSITORY / "examples" / "demo" / "capture", "demo photos"))
                 studies.append(study_photos(store, scene, artifact, other, work / scene))
-            if given.field:
+            if "field" in chosen:
                 studies.append(study_field(store, scene, artifact))
             for study in studies:
                 for row in study:

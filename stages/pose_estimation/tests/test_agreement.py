@@ -96,8 +96,8 @@ def test_wrong_poses_disagree(slip):
 @pytest.mark.parametrize(
     ("cameras", "words"),
     [
-        (focal(1.3), "with focal lengths 0.77 times as long"),
-        (focal(0.7), "with focal lengths 1.43 times as long"),
+        (focal(1.3), "if focal lengths are 0.77 times as long"),
+        (focal(0.7), "if focal lengths are 1.43 times as long"),
         (replace(right(), world_from_cam=WRONG["OpenGL's axes"]), "OpenGL"),
         (replace(right(), world_from_cam=WRONG["inverse matrices"]), "the wrong way round"),
         (replace(right(), world_from_cam=WRONG["the reverse order"]), "in the reverse order"),
@@ -118,7 +118,7 @@ def test_a_wrong_focal_length_that_hardly_shows_is_refused(factor):
         for f in frames(POSES)
     ]
     assert share(focal(factor)) > Config().min_agreement
-    with pytest.raises(BadInputError, match=r"px with focal lengths \S+ times as long"):
+    with pytest.raises(BadInputError, match=r"px if focal lengths are \S+ times as long"):
         known.check(wrong, PAIRS, FEATURES, Config())
 
 

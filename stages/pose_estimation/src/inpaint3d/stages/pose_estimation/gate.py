@@ -90,8 +90,10 @@ def check_agreement(
     `repair`: a change of the cameras that brings matches clearly nearer.
     """
     side = max(max(frame.width, frame.height) for frame in frames)
-    off = f"matches lie a median of {agreement.median_distance * side:.2f} px off"
-    slip = f"; {off}, {repair.median_distance * side:.2f} px {repair.words}" if repair else ""
+    off = f"matches are usually {agreement.median_distance * side:.2f} px off"
+    if np.isinf(agreement.median_distance):
+        off = "most matches meet behind a camera"
+    slip = f"; {off}, but {repair.median_distance * side:.2f} px {repair.words}" if repair else ""
     if agreement.share < config.min_agreement or repair:
         raise BadInputError(
             f"the cameras that came with the capture contradict its pictures: {agreement.share:.0%} of "

@@ -46,17 +46,17 @@ def _thin(pair: VerifiedPair) -> VerifiedPair:
 def _list_changes(cameras: Cameras) -> Iterator[tuple[str, Cameras]]:
     poses = cameras.world_from_cam
     yield (
-        "if the poses had OpenGL's axes (y up, z backwards) in a format that has OpenCV's",
+        "if the cameras have OpenGL's axes (y up, z backwards), not OpenCV's",
         replace(cameras, world_from_cam=[_pose(p[:, :3] @ OPENCV_FROM_OPENGL, p[:, 3]) for p in poses]),
     )
     yield (
-        "if the poses were those of the world in the cameras, the wrong way round",
+        "if the poses are the wrong way round (camera from world)",
         replace(cameras, world_from_cam=[_pose(p[:, :3].T, -p[:, :3].T @ p[:, 3]) for p in poses]),
     )
-    yield "in the reverse order", replace(cameras, world_from_cam=poses[::-1], lenses=cameras.lenses[::-1])
+    yield "if they are in the reverse order", replace(cameras, world_from_cam=poses[::-1], lenses=cameras.lenses[::-1])
     for factor in FOCAL_FACTORS:
         lenses = [_scale_focal(lens, factor) for lens in cameras.lenses]
-        yield f"with focal lengths {factor:g} times as long", replace(cameras, lenses=lenses)
+        yield f"if focal lengths are {factor:g} times as long", replace(cameras, lenses=lenses)
 
 
 def _pose(rotation: Floats, centre: Floats) -> Floats:
