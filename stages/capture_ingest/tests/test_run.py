@@ -15,6 +15,7 @@ from inpaint3d.stages.capture_ingest.carry import carry, fit_mask, read_exif
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 from inpaint3d.stages.capture_ingest.layouts import detect, find
+from inpaint3d.stages.capture_ingest.video import choose_frames
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -192,6 +193,34 @@ def test_video_takes_the_sharpest_of_each_stretch(tmp_path):
     found = found_in(tmp_path, tmp_path, video_frames=3)
     assert [f.name for f in found.frames] == ["frame_000002", "frame_000006", "frame_000010"]
     assert read_image(found.frames[0].image).shape == (48, 64, 3)
+
+
+def test_frames_of_a_video_are_spread_by_motion_not_by_time(tmp_path):
+    """The camera rests for two thirds of the clip, then walks: what rests is taken once."""
+    rng = np.random.default_rng(0)
+    wide = cv2.GaussianBlur((rng.random((48, 300, 3)) * 255).astype(np.uint8), (0, 0), 2)
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    for i in range(60):
+        at = 4 * max(0, i - 40)
+        writer.write(wide[:, at : at + 64])
+    writer.release()
+    found = found_in(tmp_path, tmp_path, video_frames=6)
+    numbers = [int(f.name[6:]) for f in found.frames]
+    assert len(numbers) == 6
+    assert sum(n <= 40 for n in numbers) <= 1
+    assert np.diff([n for n in numbers if n > 40]).max() <= 7
+    assert "39 change nothing" in found.notes[-1] or "40 change nothing" in found.notes[-1]
+
+
+def test_frames_of_a_still_video_are_spread_by_time():
+    chosen = choose_frames(np.array([1.0, 2, 1, 1, 3, 1]), np.zeros(6), 2)
+    assert chosen == [1, 4]
+
+
+def test_a_cut_is_no_motion():
+    change = np.full(41, 0.05)
+    change[20] = 1.0
+    assert len([i for i in choose_frames(np.ones(41), change, 10) if i < 20]) in (4, 5)
 
 
 def test_mask_of_half_the_size_is_resampled_and_another_aspect_refused(tmp_path):
