@@ -7,7 +7,14 @@ import pytest
 
 from inpaint3d.scene.capture_io import View
 from inpaint3d.scene.image_io import write_png
-from inpaint3d.scene.plausibility import doubt_field, doubt_masks, measure_baselines
+from inpaint3d.scene.plausibility import (
+    CompletedHole,
+    doubt_completion,
+    doubt_field,
+    doubt_masks,
+    measure_baselines,
+    measure_completions,
+)
 from inpaint3d.scene.synthetic import synthetic_scene
 
 SCENE = synthetic_scene(views=9, width=96, height=72, points=600)
@@ -55,6 +62,33 @@ def test_what_was_not_measured_is_not_doubted():
 def test_masks_over_everything_or_of_different_things_are_doubted(share, consistency, outside, words):
     doubts = doubt_masks(share, consistency, outside=outside)
     assert (words is None and doubts == []) or words in doubts[0]
+
+
+def completed(order: list[int]) -> list[CompletedHole]:
+    """The room without its ball, in some order of the pictures, at half size."""
+    half = [np.asarray(depth[::2, ::2], np.float32) for depth in SCENE.empty_depths]
+    return [
+        CompletedHole.of(camera, SCENE.empty_images[order[i]], half[i], SCENE.object_masks[i])
+        for i, camera in enumerate(SCENE.cameras)
+    ]
+
+
+def test_holes_filled_with_one_thing_agree_and_with_many_do_not():
+    one, many = (
+        measure_completions(completed(list(range(9)))),
+        measure_completions(completed([5, 0, 7, 2, 8, 1, 4, 6, 3])),
+    )
+    assert one is not None
+    assert many is not None
+    assert doubt_completion(one) == []
+    (doubt,) = doubt_completion(many)
+    assert f"{many:.1f} dB between neighbours" in doubt
+
+
+def test_a_completion_that_cannot_be_compared_is_not_doubted():
+    assert measure_completions([]) is None
+    assert measure_completions(completed(list(range(9)))[:1]) is None
+    assert doubt_completion(None) == []
 
 
 def views(folder: Path, order: list[int]) -> list[View]:

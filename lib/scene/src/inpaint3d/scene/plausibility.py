@@ -6,18 +6,23 @@ floaters are below 2 %; with the cameras of a real capture in the wrong order th
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, View
-from inpaint3d.scene.reprojection import sample_bilinear
+from inpaint3d.scene.reprojection import correspondences, sample_bilinear
 
 LEAST_GAIN_DB = 1.0  # over the better of two answers that know nothing of the scene's shape, or nearly nothing
 LARGEST_DEPTH_ERROR = 0.1
 LARGEST_FLOATERS = 0.25
 LARGEST_HOLE = 0.7  # of the views' pixels, where not everything beyond the hole is to be made up
 LEAST_CONSISTENCY = 0.25
+LEAST_COMPLETION_DB = 18.0  # between neighbours; 31 on the demo capture, 17 with its completed views shuffled
+FEWEST_PIXELS = 20
 LATTICE = 96  # longest side of what baselines are measured on
 POINTS = 2000  # of those that a view's coarse depth is made of
 
@@ -61,6 +66,48 @@ def doubt_masks(share: float, consistency: float | None, *, outside: bool) -> li
             "different things)"
         )
     return [f"{'; '.join(doubts)}: look at them, and give other points or a box in the mask request"] if doubts else []
+
+
+class CompletedHole(NamedTuple):
+    """A completed view at its depth map's size: picture [h, w, 3], depth z and hole [h, w]."""
+
+    camera: Camera
+    picture: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    hole: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, camera: Camera, picture: ArrayLike, depth: NDArray[np.float32], hole: ArrayLike) -> "CompletedHole":
+        """Of a picture and hole at the view's own size."""
+        size = depth.shape[1], depth.shape[0]
+        small = cv2.resize(np.asarray(picture, np.float32), size, interpolation=cv2.INTER_AREA)
+        inside = cv2.resize(np.asarray(hole, np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+        return cls(camera.resize_to(*size), np.asarray(small, np.float32), depth, inside)
+
+
+def doubt_completion(psnr: float | None) -> list[str]:
+    """What speaks against completed views: how far neighbours agree about what fills the hole, dB."""
+    if psnr is None or psnr >= LEAST_COMPLETION_DB:
+        return []
+    return [
+        f"what fills the hole differs from view to view: {psnr:.1f} dB between neighbours (below "
+        f"{LEAST_COMPLETION_DB:g} dB it is no one thing): {TRY}"
+    ]
+
+
+def measure_completions(views: Sequence[CompletedHole]) -> float | None:
+    """Mean PSNR in dB of each hole against the nearest view's picture, carried over by depth; None where none meet."""
+    scores: list[float] = []
+    for view in views:
+        others = [other for other in views if other is not view]
+        if not others:
+            break
+        near = min(others, key=lambda other: float(np.linalg.norm(other.camera.centre - view.camera.centre)))
+        xy, seen = correspondences(view.camera, view.depth, near.camera, near.depth, tolerance=0.05)
+        seen &= view.hole
+        if seen.sum() >= FEWEST_PIXELS:
+            scores.append(_psnr(view.picture[seen], sample_bilinear(near.picture, xy[seen])))
+    return float(np.mean(scores)) if scores else None
 
 
 def measure_baselines(train: Sequence[View], test: Sequence[View], points: SparsePoints) -> dict[str, float]:
