@@ -6,7 +6,8 @@ Scenes are folders with cameras (nerfstudio, LLFF); the demo capture with the re
 are reduced to 480 pixels. Features and matches are found once for all scrambles of a scene that leave its pictures
 alone; their time is in each row. Studies: `cameras` scrambles those that came with the scene; `photos` scrambles the
 pictures, whose cameras are to be estimated; `field` fits one under scrambled cameras with the gate of pose-estimation
-open, to see what is said then. Rows are kept in benchmarks/results/captures.json until they are measured again.
+open, to see what is said then. Rows are kept in benchmarks/results/captures.json, and as a table in captures.md, until
+they are measured again.
 """
 
 import argparse
@@ -32,6 +33,7 @@ from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCa
 from inpaint3d.contracts.store import Artifact, FolderStore, Record
 from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.image_io import read_image, write_png
+from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import silence_pycolmap
 from inpaint3d.stages.pose_estimation.solve import solve
@@ -132,11 +134,10 @@ def scrambled_photos(
     pictures: list[np.ndarray], other: list[np.ndarray]
 ) -> Iterator[tuple[str, bool, list[np.ndarray]]]:
     """(what, whether it should pass, pictures) of captures without cameras."""
-    half = len(pictures) // 2
     height, width = pictures[0].shape[:2]
     fitted = [cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA) for p in other]
     yield "the photos", True, pictures
-    yield "half the photos of another scene", False, [*pictures[:half], *fitted[:half]]
+    yield "half the photos of another scene", False, [*pictures[: len(fitted)], *fitted]
     yield "two photos", False, pictures[:2]
     yield "pure rotation", False, [_warped(pictures[0], _rotation(width, height, a)) for a in np.linspace(-12, 12, 9)]
     yield "the camera at rest, an object moving", False, [_pasted(pictures[0], i) for i in range(9)]
@@ -247,10 +248,8 @@ def study_cameras(store: FolderStore, scene: str, artifact: Artifact[Capture], w
         yield Row(scene, name, False, "pose-estimation", said, round(shared - solving + own, 1), passed)
 
 
-def study_photos(
-    store: FolderStore, scene: str, artifact: Artifact[Capture], other: list[np.ndarray], work: Path
-) -> Iterator[Row]:
-    for name, good, pictures in scrambled_photos(_pictures(artifact), other):
+def study_photos(store: FolderStore, scene: str, artifact: Artifact[Capture], work: Path) -> Iterator[Row]:
+    for name, good, pictures in scrambled_photos(_pictures(artifact), list(synthetic_scene(8, 320, 240).images)):
         taken = put(store, pictures, [None] * len(pictures), ordered=artifact.metadata.ordered)
         said, passed, cpu = judge(taken, None, work / f"photos {name}")
         yield Row(scene, f"{name}, without cameras", good, "pose-estimation", said, round(cpu, 1), passed)
@@ -310,6 +309,16 @@ def write_demo(folder: Path, every: int = 3) -> Path:
     return folder
 
 
+def write_rows(rows: Sequence[Row]) -> None:
+    """The figures, and the table that a person reads."""
+    RESULTS.write_text(json.dumps({**commit(), "rows": [asdict(r) for r in rows]}, indent=1) + "\n")
+    lines = ["| scene | capture | | by | what is said | CPU s |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        cells = (row.scene, row.capture, "passes" if row.passed else "stopped", row.where, row.said, row.cpu_s)
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    RESULTS.with_suffix(".md").write_text("\n".join(lines) + "\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=FOLDER")
@@ -331,17 +340,14 @@ def main() -> None:
             if "cameras" in chosen:
                 studies.append(study_cameras(store, scene, artifact, work / scene))
             if "photos" in chosen:
-                other = _pictures(take_in(store, REPOSITORY / "examples" / "demo" / "capture", "demo photos"))
-                studies.append(study_photos(store, scene, artifact, other, work / scene))
+                studies.append(study_photos(store, scene, artifact, work / scene))
             if "field" in chosen:
                 studies.append(study_field(store, scene, artifact))
             for study in studies:
                 for row in study:
                     rows = [r for r in rows if (r.scene, r.capture) != (row.scene, row.capture)] + [row]
-                    verdict = "passes" if row.passed else "stopped"
-                    cells = (scene, row.capture, verdict, row.where, row.said, row.cpu_s)
-                    print(f"| {' | '.join(map(str, cells))} |", flush=True)
-                    RESULTS.write_text(json.dumps({**commit(), "rows": [asdict(r) for r in rows]}, indent=1) + "\n")
+                    print(row, flush=True)
+                    write_rows(rows)
     wrong = [r for r in rows if r.passed != r.good]
     print(f"{len(rows)} captures, {len(wrong)} judged wrongly")
 

@@ -25,6 +25,7 @@ GOOD = Evidence(
 
 def test_a_good_capture_passes():
     check_estimated(GOOD, Config())
+    check_estimated(replace(GOOD, pairs=replace(PAIRS, turned=60)), Config())  # before a papered wall
     check_known(GOOD, Config())
 
 
@@ -33,6 +34,10 @@ def test_a_good_capture_passes():
     [
         ({"registered": 4, "unregistered": ("a", "b")}, r"4 of 20 views could be placed, 12 are needed: 150 of 190"),
         ({"registered": 0, "pairs": replace(PAIRS, turned=140)}, r"140 of 150 matching pairs the camera only turned"),
+        (
+            {"pairs": replace(PAIRS, turned=100, planar=40)},
+            r"140 of 150 .* pairs a turn on the spot .* or one plane",
+        ),
         ({"registered": 0, "pairs": replace(PAIRS, planar=120)}, r"120 of 150 matching pairs all lies in one plane"),
         ({"registered": 0, "pairs": replace(PAIRS, still=110)}, r"110 of 150 .* hardly differ: the camera rested"),
         ({"registered": 0, "median_features": 12}, r"median of 12 features .dark, blurred, or bare surfaces"),

@@ -14,6 +14,7 @@ from inpaint3d.stages.pose_estimation.matches import PairCounts
 from inpaint3d.stages.pose_estimation.suspects import Repair
 
 DEGENERATE_SHARE = 0.7  # of the verified pairs: so many of one kind are the reason
+FLAT_SHARE = 0.9  # the same where views could be placed; 39 % on photos of a papered wall
 FEW_FEATURES = 100  # a median below which pictures show too little to be told apart
 ENOUGH_MATCHES = 50  # of a view with others, before it is judged by them
 BLANK = 4  # features below which a picture shows nothing
@@ -48,6 +49,12 @@ def check_estimated(e: Evidence, config: Config) -> None:
     if e.registered < needed:
         refused = BadInputError if find_degeneracy(e) else TooFewViewsError
         raise refused(_too_few(e, needed))
+    # With a focal length to choose, a mapper finds depth in them all the same.
+    if (flat := e.pairs.turned + e.pairs.planar) >= FLAT_SHARE * e.pairs.verified > 0:
+        raise BadInputError(
+            f"in {flat} of {e.pairs.verified} matching pairs a turn on the spot (pure rotation) or one plane explains "
+            f"all matches, so that no depth can be told; {WALK}, and have something before or behind the plane in view"
+        )
     if e.angle_deg < config.min_angle_deg:
         raise BadInputError(
             f"too little parallax: the median triangulation angle is {e.angle_deg:.2f} degrees, "
