@@ -23,6 +23,7 @@ from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     IMAGES,
     STORE,
+    AcceptDoubtful,
     Capture,
     Images,
     PipelinePath,
@@ -68,6 +69,7 @@ def argo(
     name: SubmissionName = None,
     scene: Scenes = None,
     await_masks: AwaitMasks = False,
+    accept_doubtful: AcceptDoubtful = False,
     cluster: Cluster = CLUSTER,
     images: Images = IMAGES,
     replace: Annotated[bool, typer.Option("--replace", help="what was emitted under the name before")] = False,
@@ -85,6 +87,7 @@ def argo(
         device=request.device,
         stub=request.stub,
         awaitMasks=await_masks,
+        acceptDoubtful=accept_doubtful,
         images=load_document(images, ImagesSpec)[0].spec,
         scenes=tuple(Scene(name=n, externals=configured.take_externals(store, p)) for p, n in scenes),
     )

@@ -59,6 +59,9 @@ Prior = Annotated[
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
 Wait = Annotated[bool, typer.Option("--wait", help="wait for another run of the same name to end")]
 Replace = Annotated[bool, typer.Option("--replace", help="take over a name whose last run was of another capture")]
+AcceptDoubtful = Annotated[
+    bool, typer.Option("--accept-doubtful", help="go on where a result cannot be right; the report begins with why")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 
 STORE = ".inpaint3d/store"

@@ -218,6 +218,7 @@ def _invocation(configured: ConfiguredPipeline, submission: Submission, node: st
             "device": device,
             "threads": max(1, int(count_cpus(cpu))),
             "stub": submission.stub,
+            **({"accept_doubtful": True} if submission.acceptDoubtful else {}),
         },
         sort_keys=True,
     )

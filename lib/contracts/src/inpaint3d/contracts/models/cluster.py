@@ -110,5 +110,6 @@ class Submission(Closed):
     awaitMasks: bool = Field(
         default=False, description="stop before mask-authoring until somebody supplies a mask request"
     )
+    acceptDoubtful: bool = Field(default=False, description="go on where a result cannot be right")
     images: dict[str, Image]
     scenes: tuple[Scene, ...]

@@ -1,6 +1,7 @@
 """A found picture becomes a frame of the capture: decoded once, upright, sRGB, with its mask at its size."""
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,6 +61,7 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
             height=height,
             exif=read_exif(header, width, height),
             camera=frame.camera,
+            other_pose=frame.other_pose,
             mask=None if mask is None else f"masks/{frame.name}.png",
         ),
         None if mask is None else float(mask.mean()),
@@ -141,4 +143,21 @@ def read_exif(header: Header, width: int, height: int) -> Exif:
         iso=number("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"),
         f_number=number("FNumber", "Exif:FNumber"),
         camera=f"{make} {model}".strip() or None,
+        position=_read_position(values),
     )
+
+
+def _read_position(values: Mapping[str, object]) -> tuple[float, float, float] | None:
+    """Latitude, longitude (degrees) and altitude (m, 0 where it is not told); None where GPS told no place."""
+    angles: list[float] = []
+    for name, negative in (("GPS:Latitude", "S"), ("GPS:Longitude", "W")):
+        parts = values.get(name)
+        if not isinstance(parts, tuple) or len(parts) != 3 or not np.isfinite(parts).all():
+            return None
+        degrees = parts[0] + parts[1] / 60 + parts[2] / 3600
+        angles.append(-degrees if str(values.get(f"{name}Ref")).strip() == negative else degrees)
+    altitude = values.get("GPS:Altitude")
+    height = float(altitude) if isinstance(altitude, (int, float)) and np.isfinite(altitude) else 0.0
+    if not (abs(angles[0]) <= 90 and abs(angles[1]) <= 180 and any(angles)):
+        return None
+    return angles[0], angles[1], height

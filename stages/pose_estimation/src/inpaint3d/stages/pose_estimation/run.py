@@ -29,10 +29,12 @@ from inpaint3d.scene.capture_io import (
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.known import known_lens, take_other_poses
 from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
 from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
-from inpaint3d.stages.pose_estimation.solve import Solved, known_lens, link_pictures, solve
+from inpaint3d.stages.pose_estimation.scale import find_scale
+from inpaint3d.stages.pose_estimation.solve import Solved, link_pictures, solve
 from inpaint3d.stages.pose_estimation.truth import Registered, register
 from inpaint3d.stages.pose_estimation.undistort import Undistorter
 
@@ -80,6 +82,7 @@ def write_capture(
     write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
     usual = model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))]
     back = world.normalised_from_source.inverse()
+    scale = find_scale(capture, taken, solved.model, config, ctx)
     outputs.write(
         "posed-capture",
         PosedCapture(
@@ -90,6 +93,9 @@ def write_capture(
             ),
             registration=solved.registration,
             source_from_normalised_scale=back.scale,
+            scale=None
+            if scale is None
+            else scale.model_copy(update={"metres_per_unit": scale.metres_per_unit * back.scale}),
             source_from_normalised=as_pose(back.matrix),
             centre_depth=world.centre_depth,
             up_evidence=world.up_evidence,
@@ -108,6 +114,8 @@ def write_truth(
 ) -> None:
     """Truth views in the same world, undistorted alike; none is written where none can be placed."""
     given = truth.metadata.frames
+    if solved.other_order:
+        given = take_other_poses(given)
     if solved.source == "known" and all(f.camera is not None for f in given):
         model, placed = _known_truth(solved.model, given)
     else:

@@ -1,5 +1,7 @@
 """Every training view with its hole filled, before a field is fitted to them."""
 
+from collections.abc import Sequence
+
 import torch
 
 from inpaint3d.contracts.errors import BadInputError
@@ -12,6 +14,7 @@ from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
 from inpaint3d.scene.image_io import read_image, read_mask
 from inpaint3d.scene.masked_views import MaskedView, find_fillable, load_masked_scene
+from inpaint3d.scene.plausibility import CompletedHole, doubt_completion, measure_completions
 from inpaint3d.scene.visibility import load_depth_maps, shrink_holes
 from inpaint3d.stages.view_completion.classical import complete_classically
 from inpaint3d.stages.view_completion.completion import Completion, write_completions
@@ -51,10 +54,21 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
             made, summary = complete_classically(scene.train), "every view on its own, by Telea's method"
         case PriorSamples() as method:
             made, summary = _sample(method, scene.train, field, inputs, ctx)
+    for doubt in doubt_completion(measure_completions(_holes(made, scene.train))):
+        ctx.doubt(doubt)
     folder = outputs.folder("completed-views")
     metadata = write_completions(folder, made, method=config.method.name, summary=summary, reference_views=references)
     outputs.write("completed-views", metadata)
     ctx.progress(1, 1, "completed")
+
+
+def _holes(made: Sequence[Completion], views: Views) -> list[CompletedHole]:
+    cameras = {view.name: view.camera for view in views}
+    return [
+        CompletedHole.of(cameras[one.name], one.picture, one.depth, one.sources > 0)
+        for one in made
+        if one.depth is not None
+    ]
 
 
 def _load_appearance(field: Artifact[RadianceFieldArtifact], inputs: Inputs) -> RadianceField | None:

@@ -9,7 +9,14 @@ from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan
 from inpaint3d.contracts.models.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
 from inpaint3d.contracts.models.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
 from inpaint3d.contracts.models.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
-from inpaint3d.contracts.models.artifacts.posed import LensModel, PosedCapture, PosedFrame, PosedTruth, Registration
+from inpaint3d.contracts.models.artifacts.posed import (
+    LensModel,
+    MetricScale,
+    PosedCapture,
+    PosedFrame,
+    PosedTruth,
+    Registration,
+)
 from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
 from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, Protocol, UsdScene
 from inpaint3d.contracts.models.base import Closed
@@ -57,6 +64,7 @@ __all__ = [
     "MaskSet",
     "MaskView",
     "Metric",
+    "MetricScale",
     "PaintedView",
     "PaintedViews",
     "PosedCapture",

@@ -45,8 +45,19 @@ class Registration(Closed):
     registered: int
     unregistered: tuple[FrameName, ...] = ()
     mean_reprojection_error_px: Finite
+    agreement: Share | None = Field(
+        default=None, description="share of the verified matches between its views that agree with the cameras"
+    )
     points: int
     median_triangulation_angle_deg: Finite
+
+
+class MetricScale(Closed):
+    """How long a scene unit is."""
+
+    metres_per_unit: Positive
+    uncertainty: Positive = Field(description="one standard deviation, as a share of the scale")
+    evidence: str
 
 
 class PosedCapture(Closed):
@@ -64,6 +75,7 @@ class PosedCapture(Closed):
     lens: LensModel
     registration: Registration
     source_from_normalised_scale: Positive = Field(description="length of one scene unit in the source's units")
+    scale: MetricScale | None = Field(default=None, description="of the normalised world; None: nothing tells")
     source_from_normalised: Pose = Field(description="similarity: source = M[:, :3] @ normalised + M[:, 3]")
     centre_depth: Positive = Field(description="median distance of cameras to the point of interest, scene units")
     up_evidence: str
