@@ -42,8 +42,9 @@ class Adam:
 
     What it descends is the loss whose gradient it finds, and `hash_decay` times `losses.hash_decay` (N9). Networks (all
     but the tables) learn at `network_scale` of the rate. sparse: the tables' numbers without a gradient rest, moments
-    and decay too. before_step: called at the start of each step; ranks average their gradients there. Numbers whose
-    gradient is not finite are not moved: `lost` counts those of the last step.
+    and decay too. before_step: called at the start of each step; ranks average their gradients there. Numbers that a
+    step would not leave finite are not moved: `lost` counts those of the last step. halvings: how often the rate was
+    halved, since a fit went back to its last checkpoint.
 
     Not a torch.optim.Optimizer: the first of those in a process imports torch's compiler, which takes seconds.
     """
@@ -70,7 +71,7 @@ class Adam:
             for grid in field.hash_networks
         }
         self._moments: dict[Tensor, tuple[Tensor, Tensor]] = {}
-        self.steps = 0
+        self.steps = self.halvings = 0
         self.lost: dict[Tensor, int] = {}
 
     @classmethod
@@ -105,7 +106,7 @@ class Adam:
         self.lost.clear()
         for param in self._field.parameters():
             if param.grad is not None:
-                self._move(param, param.grad, rate)
+                self._move(param, param.grad, rate * 0.5**self.halvings)
 
     def _move(self, param: Tensor, grad: Tensor, rate: float) -> None:
         m, v = self.moments(param)

@@ -11,16 +11,21 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCamera, Registration, Truth
 from inpaint3d.contracts.store import Artifact
+from inpaint3d.scene.geometry import Similarity
 from inpaint3d.stages.pose_estimation import features, gate, lens, mapping
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.model import Model, from_reconstruction, median_triangulation_angle
+from inpaint3d.stages.pose_estimation.normalise import find_local_frame
 
 START_LENS = "SIMPLE_RADIAL"
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A model that passed the gate. `links`: frame name -> its picture's path below `folder`, the name in the model."""
+    """A model that passed the gate. `links`: frame name -> its picture's path below `folder`, the name in the model.
+
+    local_from_source: from the world of known cameras to the model's; estimated ones have no other than the model's.
+    """
 
     model: Model
     source: Literal["estimated", "known"]
@@ -29,6 +34,7 @@ class Solved:
     database: Path
     folder: Path
     links: dict[str, str]
+    local_from_source: Similarity
 
     @property
     def registration(self) -> Registration:
@@ -55,10 +61,16 @@ def solve(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
     by_lens = {number: [links[f.name] for f in frames] for number, frames in groups.items()}
     features.add_pictures(database, folder, by_lens, config, ctx)
     order = list(links.values())
+    local = _find_local_frame(capture.metadata) if known else Similarity(1.0, np.eye(3), np.zeros(3))
     pairs = features.choose_pairs(order, ordered=capture.metadata.ordered, config=config)
     features.match(database, pairs, ctx)
     if known:
-        cameras = {links[f.name]: (n, f.camera) for n, frames in groups.items() for f in frames if f.camera}
+        cameras = {
+            links[f.name]: (n, local.pose(f.camera.world_from_cam))
+            for n, frames in groups.items()
+            for f in frames
+            if f.camera
+        }
         found = mapping.triangulate(database, folder, ctx.work, lenses, cameras, ctx)
         model, sizes = from_reconstruction(found, order), [len(order)]
         why = "came with the capture"
@@ -73,7 +85,11 @@ def solve(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
         model = from_reconstruction(chosen, order)
     evidence = _evidence(model, sizes, capture.metadata, links, database)
     (gate.check_known if known else gate.check_estimated)(evidence, config)
-    return Solved(model, "known" if known else "estimated", why, evidence, database, folder, links)
+    return Solved(model, "known" if known else "estimated", why, evidence, database, folder, links, local)
+
+
+def _find_local_frame(capture: Capture) -> Similarity:
+    return find_local_frame(np.array([f.camera.world_from_cam for f in capture.frames if f.camera])[:, :, 3])
 
 
 def link_pictures(artifact: Artifact[Capture] | Artifact[Truth], folder: Path, kind: str) -> dict[str, str]:
