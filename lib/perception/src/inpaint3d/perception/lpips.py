@@ -19,6 +19,8 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from inpaint3d.perception.threads import one_thread
+
 Network = Literal["alex", "vgg"]
 SMALLEST_SIDE = 64  # below this the deepest features of either network are a pixel or two
 
@@ -78,9 +80,10 @@ class Lpips:
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
-        Small pictures are both `enlarge`.
+        Small pictures are both `enlarge`. The same for any number of threads.
         """
-        return float(self.difference(*(_batch(picture) for picture in (image, truth))))
+        with one_thread():
+            return float(self.difference(*(_batch(picture) for picture in (image, truth))))
 
 
 def safe_length(features: Tensor) -> Tensor:

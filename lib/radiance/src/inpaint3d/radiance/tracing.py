@@ -18,8 +18,13 @@ from inpaint3d.radiance.rays import Rays
 from inpaint3d.scene.cameras import Camera
 
 NamedCameras = Sequence[tuple[str, Camera]]
-# Memory that nothing has been written to yet holds anything.
-UNWRITTEN = ("empty", "new_empty", "empty_like", "empty_strided", "resize")
+# They compute nothing: they reserve memory, which may hold anything, or pass on what they were given.
+PASSING_ON = frozenset([
+    "empty", "new_empty", "empty_like", "empty_strided", "new_empty_strided", "resize_", "fill_", "fill", "copy_",
+    "copy", "_to_copy", "clone", "lift_fresh", "detach", "alias", "as_strided", "select", "slice", "split",
+    "split_with_sizes", "unbind", "view", "_unsafe_view", "reshape", "expand", "t", "transpose", "permute", "squeeze",
+    "unsqueeze", "cat", "stack", "index", "index_select", "index_put_", "gather",
+])  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ class _Watch(TorchDispatchMode):
         arguments = [t for t in _tensors((args, kwargs)) if self.origin is None]
         made = func(*args, **(kwargs or {}))
         name = str(func).removeprefix("aten.").partition(".")[0]
-        if self.origin is None and not name.startswith(UNWRITTEN):
+        if self.origin is None and name not in PASSING_ON:
             rays = next((f.f_locals.get("flat") for f in _frames() if f.f_code.co_name == "render"), None)
             self._rays = rays if isinstance(rays, Rays) else self._rays
             for tensor in _tensors(made):

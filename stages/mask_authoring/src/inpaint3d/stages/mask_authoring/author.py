@@ -35,6 +35,7 @@ VolumeRequest = SphereRequest | BoxRequest | OutpaintRequest
 Request = VolumeRequest | ObjectRequest | ScribbleRequest | ImportedRequest
 
 CLOSING = 0.01  # of the shorter side
+MOST_OF_VIEW = 0.9  # an object that fills more of its view is the room
 SPECKS = 0.02  # parts of an object's mask below this share of its largest are errors of depth
 HOLES = 0.05  # enclosed gaps up to this share of the mask are filled
 # Share of a pixel's neighbourhood that must be masked where a mask is enlarged. Under a half, since a rim of the object
@@ -93,6 +94,11 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
         raise ConfigurationError(
             f"mask request: nothing was found at the points in view {request.view!r}; give more points on the object, "
             "points beside it under `background`, or a box round it"
+        )
+    if found.mean() > MOST_OF_VIEW:
+        raise ConfigurationError(
+            f"mask request: what was found at the points fills {found.mean():.0%} of view {request.view!r}, so that "
+            "nothing is left around it; give points beside the object under `background`, or a box round it"
         )
     how = Carrying(config.depth_tolerance, config.margin, config.refine_rounds, ctx.seed)
     carried = carry(small, source, found, how, refine=config.refine, progress=ctx.progress)
