@@ -40,22 +40,25 @@ def mask_of(kind: str) -> torch.Tensor:
 
 
 class Breaking:
-    """A prior over pixels that answers a constant where it is asked."""
+    """A prior over pixels that answers one number that breaks, at one of its calls or at each."""
 
     size, latent_shape, bound = 16, (3, 16, 16), 1.0
 
-    def __init__(self, value: float) -> None:
-        self.value = value
+    def __init__(self, value: float, at: int | None = None, decoded: float = 1.0) -> None:
+        self.value, self.at, self.decoded = value, at, decoded
+        self.times: list[float] = []
 
     def encode(self, image: torch.Tensor) -> torch.Tensor:
         return image * 1.0
 
     def decode(self, latent: torch.Tensor) -> torch.Tensor:
-        return latent
+        return latent * self.decoded
 
     def predict_noise(self, z, t, image, mask, *, guidance=1.0, noise_fill=None):
         answer = torch.zeros_like(z)
-        answer[0, 0, 8, 8] = self.value
+        if self.at is None or self.at == len(self.times):
+            answer[0, 0, 8, 8] = self.value
+        self.times.append(float(t))
         return answer
 
 
@@ -158,6 +161,47 @@ def test_a_prior_that_breaks(value: float, ask: str) -> None:
 
     with pytest.raises(BadInputError, match=r"answered 1 of 768 numbers that are not finite at diffusion time [01]\."):
         ask_it()
+
+
+@pytest.mark.parametrize("gradient", GRADIENTS)
+def test_no_call_of_a_prior_goes_unseen(gradient: str) -> None:
+    query = PriorQuery(torch.zeros(1, 3, 16, 16), mask_of("line"), torch.tensor([0.03]), torch.zeros(1, 3, 16, 16))
+    sound = Breaking(0.0)
+    getattr(distillation, gradient)(sound, query)
+    assert min(sound.times) >= min(distillation.T_FLOOR, 0.03 / 4) - 1e-6
+    if gradient == "ism_gradient":
+        assert min(sound.times) >= distillation.T_FLOOR - 1e-6
+    for call in range(len(sound.times)):
+        with pytest.raises(BadInputError, match="not finite at diffusion time"):
+            getattr(distillation, gradient)(Breaking(math.inf, call), query)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e6])
+def test_what_a_decoder_makes_is_looked_at_and_bounded(value: float) -> None:
+    x, mask, generator = torch.full((1, 3, 16, 16), 0.1), mask_of("line"), torch.Generator().manual_seed(0)
+    query = PriorQuery(x, mask, torch.tensor([0.5]), torch.zeros(1, 3, 16, 16))
+    broken = Breaking(0.0, decoded=value)
+    for ask in (
+        lambda: distillation.denoised_target(broken, query),
+        lambda: inpaint(broken, x, mask, steps=2, generator=generator),
+    ):
+        if math.isfinite(value):
+            assert ask().abs().max() <= 1
+        else:
+            with pytest.raises(BadInputError, match="not finite"):
+                ask()
+
+
+def test_smoothing_without_a_known_pixel_is_nothing() -> None:
+    smooth = distillation._smooth(torch.ones(1, 3, 16, 16), mask_of("full"))  # no query shows it
+    assert (smooth == 0).all()
+
+
+@pytest.mark.parametrize("t", [1e-6, 1e-5, 1e-4, 1e-3])
+def test_the_linear_schedule_keeps_its_digits_near_the_picture(t: float) -> None:
+    time = torch.tensor([t])
+    exact = linear_log_snr(time.double(), clamp=60.0)
+    torch.testing.assert_close(linear_log_snr(time, clamp=60.0).double(), exact, rtol=1e-6, atol=0)
 
 
 @hard_case(

@@ -21,6 +21,7 @@ from tests.stability.catalogue import hard_case
 
 REPROJECTION, POSES, HOLES, EXPORT = "Reprojection", "Poses", "Thin holes", "Export"
 CAMERA = Camera(20, 20, 8, 8, 16, 16, look_at((0, -2, 0.5), (0, 0, 0)))
+BEHIND = Camera(20, 20, 8, 8, 16, 16, look_at((0, -6, 1.5), (0, 0, 0)))
 BESIDE = Camera(20, 20, 8, 8, 16, 16, look_at((0.5, -2, 0.5), (0, 0, 0)))
 
 
@@ -46,6 +47,8 @@ def test_depths_of_no_surface(depth: float) -> None:
     xy, seen = correspondences(CAMERA, z, BESIDE, np.full((16, 16), 2.0))
     assert not seen.any()
     assert np.isfinite(xy[seen]).all()
+    # Seen from further back, what lies behind a camera lies before another.
+    assert not correspondences(CAMERA, z, BEHIND)[1].any() or depth in (1e-30, 1e30)
     picture, shown = warp_image(np.ones((16, 16, 3)), BESIDE, z, CAMERA, np.full((16, 16), 2.0))
     assert np.isfinite(picture).all()
     assert not shown.any()
@@ -279,6 +282,15 @@ def test_windows_hit_thin_holes(kind: str, side: int, size: int) -> None:
     (fixed,) = choose_fixed_windows([view], size=size, span=0.9, min_known=0.2)
     assert fixed is not None
     assert fixed.sample(hole).any()
+
+
+@pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
+def test_a_window_of_a_view_that_is_nearly_all_hole_takes_what_is_known(side: str) -> None:
+    known = np.zeros((20, 30), bool)
+    known[{"left": np.s_[:, 0], "right": np.s_[:, -1], "top": np.s_[0], "bottom": np.s_[-1]}[side]] = True
+    window = draw_window(~known, known, 0, size=8, span=0.5, min_known=0.9, rng=np.random.default_rng(0))
+    assert window is not None
+    assert window.sample(known).any()
 
 
 def volume(distance: np.ndarray, cell: float = 1.0, low: float = 0.0) -> Volume:

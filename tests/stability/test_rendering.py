@@ -328,6 +328,8 @@ def test_depth_smoothness(step: float, colour: float) -> None:
 def test_schedules_at_both_ends(step: int, steps: int) -> None:
     rate = learning_rate(step, steps=steps, warmup=0)
     assert 0 < rate <= 1e-2
+    if step >= max(steps, 1):  # beyond the schedule it falls as 1 / step
+        assert rate == pytest.approx(1e-3 * max(steps, 1) / step, rel=1e-9)
     assert 0 <= proposal_anneal(step, steps) <= 1
     assert 1 <= rays_at(step, first=1, last=512, ramp=steps) <= 512
 

@@ -96,8 +96,8 @@ def inpaint(
 ) -> Image:
     """A sample of what may be in the hole, in [-1, 1]; known pixels come back untouched."""
     with torch.no_grad():
-        z = denoiser.encode(torch.where(mask > 0, 0.0, image))
-        noise = torch.randn(z.shape, generator=generator).to(z)
+        code = denoiser.encode(torch.zeros_like(image))  # its shape alone counts
+        noise = torch.randn(code.shape, generator=generator).to(code)
         noise_fill = torch.randn(image.shape, generator=generator).to(image)
 
         def predict(z: Tensor, t: Tensor) -> Tensor:

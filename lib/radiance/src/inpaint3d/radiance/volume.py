@@ -32,6 +32,6 @@ def median_distance(
     index = torch.searchsorted(reached, half).clamp_(max=weights.shape[1] - 1)
     within = weights.gather(1, index)
     before = reached.gather(1, index) - within
-    share = ((half - before) / torch.where(within <= 0, 1, within)).clamp_(0, 1)
+    share = ((half - before) / within).clamp_(0, 1)  # 0 / 0 on empty rays alone
     low, high = tdist.gather(1, index), tdist.gather(1, index + 1)
     return torch.where(reached[:, -1] <= smallest, far, (low + share * (high - low))[:, 0])

@@ -261,7 +261,7 @@ def adam_step(
     second = beta2 * v + (1 - beta2) * slope.square()
     step_size = lr / (1 - beta1**step)
     to = param - step_size * first / ((second / (1 - beta2**step)).sqrt_() + eps)
-    finite = torch.isfinite(slope.square()) & torch.isfinite(second) & torch.isfinite(to)
+    finite = torch.isfinite(second) & torch.isfinite(to)
     for part, moved in ((param, to), (m, first), (v, second)):
         part.copy_(torch.where(wanted & finite, moved, part))
     return int((wanted & ~finite).sum())
