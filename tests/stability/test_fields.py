@@ -323,6 +323,15 @@ def test_health_counts_what_saturates(heads: list[int], counter: str | None) -> 
     assert again.counters(Adam(field)) == found
 
 
+def test_gradient_norms_do_not_overflow() -> None:
+    field = RadianceField(SPEC, 0)
+    (1e19 * field.base.table.sum()).backward()
+    health = Health()
+    health.look(field, camera_rays(Camera(2, 2, 1, 1, 2, 2, look_at((0, -1, 0), (0, 0, 0)))).flatten())
+    found = health.counters(Adam(field))["gradient_norm_largest"]
+    assert found == pytest.approx(1e19 * math.sqrt(field.base.table.numel()), rel=1e-5)
+
+
 @hard_case(
     KEPT,
     plain="a NaN weight renders as an empty, far view",

@@ -55,8 +55,7 @@ class Health:
     @torch.no_grad()
     def look(self, field: RadianceField, rays: Rays) -> None:
         """Take in the gradients as they are, and what the field says along some rays; cheap, but not for every step."""
-        squares = [p.grad.double().square().sum() for p in field.parameters() if p.grad is not None]
-        norm = math.sqrt(float(torch.stack(squares).sum())) if squares else 0.0
+        norm = math.hypot(*(_measure_length(p.grad) for p in field.parameters() if p.grad is not None))
         self._counters["gradient_norm_last"] = norm
         self._raise("gradient_norm_largest", norm)
         tdist = render(field, rays).tdist
@@ -81,3 +80,9 @@ class Health:
 
     def _raise(self, name: str, value: float) -> None:
         self._counters[name] = max(value, self._counters[name])
+
+
+def _measure_length(gradient: Tensor) -> float:
+    """Euclidean length; in float64 where squares overflow, which costs a copy."""
+    length = float(torch.linalg.vector_norm(gradient))
+    return length if math.isfinite(length) else float(torch.linalg.vector_norm(gradient, dtype=torch.float64))

@@ -39,7 +39,7 @@ from inpaint3d.stages.joint_optimization.schedule import (
 )
 
 CHECKPOINT_INTERVAL_S = 30.0
-LOOKED_AT = 128  # rays that the counters of health are taken over
+LOOKED_AT = 32  # rays that the counters of health are taken over
 GUIDE = "guide."
 
 

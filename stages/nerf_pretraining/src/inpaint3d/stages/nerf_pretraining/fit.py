@@ -29,7 +29,7 @@ from inpaint3d.radiance.training import (
 from inpaint3d.stages.nerf_pretraining.config import Config
 
 CHECKPOINT = "checkpoint.safetensors"
-LOOKED_AT = 128  # rays that the counters of health are taken over
+LOOKED_AT = 32  # rays that the counters of health are taken over
 
 CurveRow = list[float]
 """Step, rays so far, mean reconstruction loss since the row before, held-out PSNR in dB (NaN: no held-out view)."""
