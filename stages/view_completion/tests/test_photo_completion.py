@@ -184,7 +184,7 @@ def test_a_view_that_is_all_hole_keeps_the_surface_of_the_field() -> None:
     views, depths = views_of(room), depths_of(room)
     everything = np.ones_like(views[1].hole)
     views[1] = MaskedView(views[1].name, views[1].camera, 0 * views[1].image, everything, ~everything)
-    made, _, _ = complete_from_photos(views, depths, NO_CODES, THREE, seed=0)
+    made, _, _ = complete_from_photos(views, depths, room.points.xyz, NO_CODES, THREE, seed=0)
     assert all(
         one.depth is not None and np.isfinite(one.depth).all() and np.isfinite(one.picture).all() for one in made
     )
