@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures bench-gpu pack-gpu clean
+.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -37,6 +37,12 @@ test-faults: .venv/.installed ## kills, corruptions, damaged inputs, writes that
 	$(TEST_ENV) .venv/bin/python -m tests.faults.fuzz
 	$(TEST_ENV) .venv/bin/python -m tests.faults.write_sites
 	$(TEST_ENV) .venv/bin/python -m tests.faults.beside_gc
+
+test-properties: .venv/.installed ## properties under many more inputs, drawn anew; nightly [EXAMPLES=2000]
+	$(TEST_ENV) INPAINT3D_EXAMPLES=$(or $(EXAMPLES),2000) .venv/bin/python -m pytest -q tests/stability/test_properties.py
+
+mutation: .venv/.installed ## guards taken out one at a time: do the tests notice? [BENCH_OPTIONS="--only NAME"]
+	$(TEST_ENV) .venv/bin/python -m benchmarks.mutation $(BENCH_OPTIONS)
 
 test-kubernetes: .venv/.installed ## every image as a Job of a real cluster [INPAINT3D_CLUSTER, INPAINT3D_IMAGES, AWS_*]
 	.venv/bin/python -m pytest -q -s -rs -m kubernetes tests/kubernetes

@@ -55,6 +55,12 @@ def test_the_best_figure_is_marked_and_names_are_escaped(tmp_path):
     assert "view &lt;1&gt;" in text
 
 
+def test_the_health_of_each_fit_is_told(tmp_path):
+    shown = page(tmp_path, health={"joint": {"gradient_norm_largest": 0.0123, "rollbacks": 1.0}})
+    assert "gradient norm largest 0.0123; rollbacks 1" in shown
+    assert "Health of the fits" not in page(tmp_path)
+
+
 def test_non_finite_values_are_told(tmp_path):
     assert "joint/view_3: 7" in page(tmp_path, non_finite={"joint/view_3": 7})
     assert "Non-finite" not in page(tmp_path)

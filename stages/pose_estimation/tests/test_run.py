@@ -259,3 +259,34 @@ def test_known_views_agree_with_each_other(scene: SyntheticScene, store: Store, 
     assert (
         np.abs(warped - views[4].image())[seen].mean() < 0.4 * np.abs(views[3].image() - views[4].image())[seen].mean()
     )
+
+
+def moved_scene(scene: SyntheticScene, shift: np.ndarray) -> SyntheticScene:
+    """The room with each camera moved by a row of `shift` [views, 3]."""
+    poses = [
+        np.concatenate([c.rotation, (c.centre + s)[:, None]], 1) for c, s in zip(scene.cameras, shift, strict=True)
+    ]
+    cameras = [replace(c, world_from_cam=p) for c, p in zip(scene.cameras, poses, strict=True)]
+    return replace(scene, cameras=cameras)
+
+
+def test_coordinates_of_a_survey_are_nothing_special(store: Store, scene: SyntheticScene, passed_through: Record):
+    """UTM: half a million metres east, five million north. They were refused, or their rotations rounded away."""
+    away = np.array([512_000.25, 5_403_000.5, 210.125])
+    record = solve(
+        store, {"capture": put(store, moved_scene(scene, np.tile(away, (8, 1))), cameras=True)}, output_longest_side=80
+    )
+    there = store.open(record.outputs["posed-capture"], PosedCapture).metadata
+    here = store.open(passed_through.outputs["posed-capture"], PosedCapture).metadata
+    for moved, plain in zip(there.frames, here.frames, strict=True):
+        np.testing.assert_allclose(moved.world_from_cam, plain.world_from_cam, rtol=0, atol=1e-6)
+    assert there.registration.points == pytest.approx(here.registration.points, rel=0.02)
+    np.testing.assert_allclose(np.array(there.source_from_normalised)[:, 3], away + np.array([0, 0, 0.05]), atol=1e-2)
+
+
+@pytest.mark.parametrize("times", [20.0, 1000.0])
+def test_a_camera_far_away_from_all_others_is_refused_by_name(store: Store, scene: SyntheticScene, times: float):
+    shift = np.zeros((8, 3))
+    shift[3] = (times - 1) * scene.cameras[3].centre
+    with pytest.raises(BadInputError, match=r"the camera of view_003 is \d+ times as far.*remove the frame"):
+        solve(store, {"capture": put(store, moved_scene(scene, shift), cameras=True)}, output_longest_side=80)

@@ -176,3 +176,15 @@ def test_of_two_paintings_of_one_place_the_first_stays(large: SyntheticScene) ->
         paintings={views[0].name: Painting(first, everywhere), views[1].name: Painting(second, everywhere)},
     )  # fmt: skip
     np.testing.assert_allclose(made[0].picture[views[0].hole].mean(0), [1, 0, 1], atol=1e-6)
+
+
+def test_a_view_that_is_all_hole_keeps_the_surface_of_the_field() -> None:
+    """Nothing sure is left to span a surface from: 1 / 0 would put it at infinity, and rays to it with it."""
+    room = synthetic_scene(views=4)
+    views, depths = views_of(room), depths_of(room)
+    everything = np.ones_like(views[1].hole)
+    views[1] = MaskedView(views[1].name, views[1].camera, 0 * views[1].image, everything, ~everything)
+    made, _, _ = complete_from_photos(views, depths, room.points.xyz, NO_CODES, THREE, seed=0)
+    assert all(
+        one.depth is not None and np.isfinite(one.depth).all() and np.isfinite(one.picture).all() for one in made
+    )

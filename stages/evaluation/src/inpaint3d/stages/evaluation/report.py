@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from inpaint3d.contracts.models.artifacts import Protocol
@@ -42,6 +42,8 @@ class Report:
     curves: Sequence[Curve]
     notes: Sequence[str]
     non_finite: dict[str, int]
+    health: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
+    """Field -> counters of its fit."""
 
 
 def write_report(path: Path, report: Report) -> None:

@@ -51,7 +51,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if seen_by_training.any():
         sight_lines = SightLines.of([view.camera for view in views], points, seen_by_training, ctx.device)
     scored = HeldOut.on_lattice(map(KnownPhoto.of, test[: config.score_views]), config.score_side, ctx.device)
-    curve = fit(field, Known(pixels, sight_lines), scored, config, ctx)
+    known = Known(pixels, sight_lines, [(view.name, view.camera) for view in train])
+    curve = fit(field, known, scored, config, ctx)
 
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
@@ -82,5 +83,6 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         depth_error=depth_error,
         floaters=floaters,
         non_finite=ctx.non_finite,
+        health=ctx.health,
     )
     outputs.write("radiance-field", metadata)

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.contracts.kit.context import Context
-from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.stages.pose_estimation.config import Config
 
 
@@ -69,18 +68,18 @@ def triangulate(
     folder: Path,
     work: Path,
     lenses: Mapping[int, pycolmap.Camera],
-    known: Mapping[str, tuple[int, KnownCamera]],
+    known: Mapping[str, tuple[int, NDArray[np.float64]]],
     ctx: Context,
 ) -> pycolmap.Reconstruction:
-    """Points under known cameras: poses and lenses stay as they are. `known`: name -> (lens, camera)."""
+    """Points under known cameras: poses and lenses stay as they are. `known`: name -> (lens, pose)."""
     given = pycolmap.Reconstruction()
     for lens in lenses.values():
         given.add_camera_with_trivial_rig(lens)
     with pycolmap.Database.open(database) as db:
         numbers = {image.name: image.image_id for image in db.read_all_images()}
-    for name, (lens, camera) in known.items():
+    for name, (lens, pose) in known.items():
         image = pycolmap.Image(name=name, camera_id=lens, image_id=numbers[name])
-        given.add_image_with_trivial_frame(image, make_rigid(camera.world_from_cam).inverse())
+        given.add_image_with_trivial_frame(image, make_rigid(pose).inverse())
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = ctx.seed
     options.num_threads = 1

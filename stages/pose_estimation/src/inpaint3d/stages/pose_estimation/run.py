@@ -32,7 +32,7 @@ from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.known import known_lens, take_other_poses
 from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
-from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
+from inpaint3d.stages.pose_estimation.normalise import Normalisation, check_reach, normalise
 from inpaint3d.stages.pose_estimation.scale import find_scale
 from inpaint3d.stages.pose_estimation.solve import Solved, link_pictures, solve
 from inpaint3d.stages.pose_estimation.truth import Registered, register
@@ -45,6 +45,10 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     features.silence_pycolmap()
     solved = solve(capture, config, ctx)
     world = normalise(solved.model.world_from_cam, solved.model.xyz, ctx.seed)
+    frame_of = {link: name for name, link in solved.links.items()}
+    check_reach(
+        [frame_of[link] for link in solved.model.names], world.normalised_from_source.points(solved.model.centres)
+    )
     write_capture(capture, solved, world, config, outputs, ctx)
     if truth is not None:
         write_truth(capture, truth, solved, world, config, outputs, ctx)
@@ -81,8 +85,8 @@ def write_capture(
         )  # fmt: skip
     write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
     usual = model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))]
-    back = world.normalised_from_source.inverse()
-    scale = find_scale(capture, taken, solved.model, config, ctx)
+    back = solved.local_from_source.then(world.normalised_from_source).inverse()
+    scale = find_scale(capture, taken, solved.model.moved(solved.local_from_source.inverse()), config, ctx)
     outputs.write(
         "posed-capture",
         PosedCapture(
@@ -117,7 +121,7 @@ def write_truth(
     if solved.other_order:
         given = take_other_poses(given)
     if solved.source == "known" and all(f.camera is not None for f in given):
-        model, placed = _known_truth(solved.model, given)
+        model, placed = _known_truth(solved, given)
     else:
         paths = link_pictures(truth, solved.folder, "truth")
         model = solved.model
@@ -175,8 +179,9 @@ def _exposure(frame: CapturedFrame) -> float | None:
     return exif.exposure_s * exif.iso / exif.f_number**2
 
 
-def _known_truth(model: Model, frames: Sequence[CapturedFrame]) -> tuple[Model, dict[str, Registered]]:
+def _known_truth(solved: Solved, frames: Sequence[CapturedFrame]) -> tuple[Model, dict[str, Registered]]:
     """Truth views with cameras of their own; their lenses join the model's. Nothing is measured: their error is 0."""
+    model = solved.model
     lenses = dict(model.lenses)
     placed: dict[str, Registered] = {}
     for frame in frames:
@@ -187,7 +192,8 @@ def _known_truth(model: Model, frames: Sequence[CapturedFrame]) -> tuple[Model, 
                  and (c.model_name, c.width, c.height) == (lens.model_name, lens.width, lens.height))  # fmt: skip
         number = next(alike, lens.camera_id)
         lenses.setdefault(number, lens)
-        placed[frame.name] = Registered(make_rigid(camera.world_from_cam).matrix(), number, 0.0)
+        pose = make_rigid(solved.local_from_source.pose(camera.world_from_cam)).matrix()
+        placed[frame.name] = Registered(pose, number, 0.0)
     return replace(model, lenses=lenses), placed
 
 

@@ -12,20 +12,26 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, Registration, Truth
 from inpaint3d.contracts.store import Artifact
+from inpaint3d.scene.geometry import Similarity
 from inpaint3d.stages.pose_estimation import features, gate, known, lens, mapping
 from inpaint3d.stages.pose_estimation.agreement import Agreement, Cameras, measure_agreement
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.matches import VerifiedPair, count_kinds, read_verified_pairs
 from inpaint3d.stages.pose_estimation.model import Model, from_reconstruction, median_triangulation_angle
+from inpaint3d.stages.pose_estimation.normalise import find_local_frame
 
 START_LENS = "SIMPLE_RADIAL"
+SOURCE = Similarity(1.0, np.eye(3), np.zeros(3))
 # The second try: more and finer features, all pairs of sets up to so many frames, and matches along epipolar lines.
 FEATURES_FACTOR, SIDE_FACTOR, EXHAUSTIVE_UP_TO = 2, 1.5, 120
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A model that passed the gate. `links`: frame name -> its picture's path below `folder`, the name in the model."""
+    """A model that passed the gate. `links`: frame name -> its picture's path below `folder`, the name in the model.
+
+    local_from_source: from the world of known cameras to the model's; estimated ones have no other than the model's.
+    """
 
     model: Model
     source: Literal["estimated", "known"]
@@ -35,6 +41,7 @@ class Solved:
     database: Path
     folder: Path
     links: dict[str, str]
+    local_from_source: Similarity
     other_order: bool = False
     """Whether cameras without names were taken in the other order of their pictures."""
 
@@ -105,12 +112,13 @@ def _solve_known(capture: Artifact[Capture], config: Config, ctx: Context) -> So
     frames, other = known.choose_order(matched.frames, matched.pairs, config, ctx)
     known.check(frames, matched.pairs, matched.features, config)
     number = {f.name: n for n, group in groups.items() for f in group}
-    cameras = {matched.links[f.name]: (number[f.name], f.camera) for f in frames if f.camera}
+    local = find_local_frame(np.array([f.camera.world_from_cam for f in frames if f.camera])[:, :, 3])
+    cameras = {matched.links[f.name]: (number[f.name], local.pose(f.camera.world_from_cam)) for f in frames if f.camera}
     found = mapping.triangulate(matched.database, matched.folder, ctx.work, lenses, cameras, ctx)
     model = from_reconstruction(found, matched.order)
     evidence = _evidence(model, [len(frames)], matched)
     gate.check_known(evidence, config)
-    return _conclude(model, "known", "came with the capture", evidence, matched, config, other_order=other)
+    return _conclude(model, "known", "came with the capture", evidence, matched, config, local, other_order=other)
 
 
 def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Path, *, guided: bool = False) -> Solved:
@@ -138,13 +146,16 @@ def _conclude(
     evidence: gate.Evidence,
     matched: Matched,
     config: Config,
+    local: Similarity = SOURCE,
     *,
     other_order: bool = False,
 ) -> Solved:
     pairs = read_verified_pairs(matched.database, model.names)
     cameras = Cameras([model.lenses[n] for n in model.view_lens], list(model.world_from_cam))
     agreement = measure_agreement(pairs, cameras, known.tolerance(config))
-    return Solved(model, source, why, evidence, agreement, matched.database, matched.folder, matched.links, other_order)
+    return Solved(
+        model, source, why, evidence, agreement, matched.database, matched.folder, matched.links, local, other_order
+    )
 
 
 def _match_pictures(

@@ -13,7 +13,7 @@ from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import CapturedFrame
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, features_of, match, number_of
-from inpaint3d.stages.pose_estimation.model import Model, round_to_digits
+from inpaint3d.stages.pose_estimation.model import Model, round_pose
 
 Floats = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def _pose(xy: Floats, xyz: Floats, lens: pycolmap.Camera, seed: int) -> tuple[Fl
     if found is None or found["num_inliers"] < MIN_INLIERS:
         return None
     inliers = np.asarray(found["inlier_mask"], bool)
-    pose = round_to_digits(found["cam_from_world"].inverse().matrix())
+    pose = round_pose(found["cam_from_world"].inverse().matrix())
     in_cam = (xyz[inliers] - pose[:, 3]) @ pose[:, :3]
     error = np.linalg.norm(np.asarray(lens.img_from_cam(np.ascontiguousarray(in_cam))) - xy[inliers], axis=1)
     return pose, float(error.mean())

@@ -256,8 +256,13 @@ def _find_surely_known(draft: Draft, xy: NDArray[np.float64], z: NDArray[np.floa
 
 
 def _span_unsure(draft: Draft) -> None:
-    """Give the unsure cells the surface that is spanned between the sure ones around them."""
-    if draft.unsure.any():
+    """Give the unsure cells the surface that is spanned between the sure ones around them.
+
+    Where a view has no sure cell there is nothing to span: the field's own surface stays.
+    """
+    if draft.unsure.all():
+        draft.settle(draft.unsure, draft.coarse.depth)
+    elif draft.unsure.any():
         spanned = replace(draft.coarse, depth=1 / span_membrane(1 / draft.coarse.depth, ~draft.unsure))
         draft.settle(draft.unsure, draft.flat.snap(spanned, SPANNED_REACH).depth)
 
