@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import CompletedView, CompletedViews
-from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES, Origin
 from inpaint3d.scene.image_io import write_codes, write_exr, write_png
+from inpaint3d.scene.source_maps import share_sources
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +48,3 @@ def _write_completion(folder: Path, one: Completion) -> CompletedView:
     return CompletedView(
         name=one.name, picture=picture, sources=sources, depth=depth, shares=share_sources(one.sources)
     )
-
-
-def share_sources(sources: NDArray[np.uint16]) -> dict[Origin, float]:
-    """By source, its share of the filled pixels of a map [h, w]; sources that it does not hold are left out."""
-    filled = sources[sources > 0]
-    counts: dict[Origin, int] = {"photos": int((filled >= FIRST_PHOTO).sum())}
-    counts |= {name: int((filled == code).sum()) for name, code in SOURCE_CODES.items()}
-    return {name: round(count / len(filled), 6) for name, count in counts.items() if count}

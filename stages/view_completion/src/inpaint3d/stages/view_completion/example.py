@@ -18,7 +18,7 @@ from torch import Tensor
 
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.scene.image_io import Mask
-from inpaint3d.stages.view_completion.membrane import span_membrane
+from inpaint3d.scene.membrane import span_membrane
 
 PATCH = 7
 """Side of a patch, pixels; odd."""

@@ -18,13 +18,13 @@ from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.membrane import span_membrane
 from inpaint3d.scene.morphology import grow, grow_square, label_parts
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
 from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.example import fill_by_example
-from inpaint3d.stages.view_completion.membrane import span_membrane
 
 REACH = 1.8
 """Patches are copied from surfaces this much further from the middle of a gap than its own edge is, in space."""
