@@ -24,7 +24,7 @@ OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 def write_dataset(
     folder: Path, posed: Artifact[PosedCapture], views: Sequence[PlateView], pictures: Mapping[str, str]
 ) -> list[str]:
-    """Write `sparse/0/` and `transforms.json`; returns the model's paths below `folder`. pictures: by view, their paths."""
+    """Write `sparse/0/` and `transforms.json` below `folder`; returns the model's paths. pictures: by view, theirs."""
     back = source_from_normalised(posed.metadata)
     points = load_points(posed.path(posed.metadata.points))
     points = points.select(find_unmasked(points, [v.hole for v in views]))

@@ -53,6 +53,7 @@ def make_plate(
     """
     view = views[index]
     codes = photos.codes(view.name).copy()
+    photos.put_plate(view.name, codes)  # filled below, in place
     filled = np.zeros(codes.shape[:2], bool)
     cell = max(1, -(-max(codes.shape[:2]) // config.plan_side))
     box = find_box(view, RING * cell)
@@ -73,7 +74,6 @@ def make_plate(
         plan = make_plan(view, photos, grid, disparity, [piece for _, piece in chosen], labels)
         for tile in box.tiles(config.tile):
             _fill_tile(view, plan, chosen[-1][1], tile, codes, filled, photos.file(view.name).colours)
-        photos.put_plate(view.name, codes)
     grain = 0.0
     if config.grain and plan is not None:
         grain = _match_grain(plan, codes, filled, photos.file(view.name).colours, np.random.default_rng([seed, index]))

@@ -46,15 +46,18 @@ Origins = Int64[Tensor, "h w"]  # the pixel that each pixel is a copy of; itself
 
 def fill_by_example(
     image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
-) -> NDArray[np.float32]:
-    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`; both [h, w] and disjoint.
+) -> tuple[NDArray[np.float32], NDArray[np.int64] | None]:
+    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`, both [h, w] and disjoint; and what
+    each pixel was copied from, as of `copy_patches`.
 
     What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
-    holds no whole patch the hole is filled by Telea's method. variety: at the coarsest level any patch may be taken
+    holds no whole patch the hole is filled by Telea's method, and nothing copied. variety: at the coarsest level any patch may be taken
     that is by at most this share less alike than the best; which, `seed` says. The same arguments give the same bytes.
     """
     made = copy_patches(image, hole, source, variety=variety, seed=seed)
-    return fill_telea(image, hole) if made is None else blend_copies(*made, hole)
+    if made is None:
+        return fill_telea(image, hole), None
+    return blend_copies(*made, hole), made[1]
 
 
 def copy_patches(

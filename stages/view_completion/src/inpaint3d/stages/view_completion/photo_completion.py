@@ -51,6 +51,7 @@ class Draft:
     """A view on its way: picture [h, w, 3] in the mean appearance, 0 where `missing`; sources [h, w] of what is filled.
 
     unsure: cells of `coarse` whose surface no photo shows; its depth says nothing there until they are settled.
+    copies: pixel (x, y) [h, w, 2] that each was copied from by example, -1 elsewhere; None where nothing was.
     """
 
     index: int
@@ -60,6 +61,7 @@ class Draft:
     missing: Mask
     unsure: Mask
     sources: Sources
+    copies: NDArray[np.float32] | None = None
 
     @cached_property
     def depth(self) -> NDArray[np.float64]:
@@ -84,6 +86,15 @@ class Draft:
         self.picture = np.where(where[..., None], colours, self.picture).astype(np.float32)
         self.sources = np.where(where, sources, self.sources).astype(np.uint16)
         self.missing = self.missing & ~where
+
+    def note_copies(self, where: Mask, origins: NDArray[np.int64], box: tuple[slice, slice]) -> None:
+        """Remember what `where` [h, w] was copied from: `origins`, y * width + x of the pixels of `box`."""
+        rows, columns = box
+        width = origins.shape[1]
+        place = np.full((*where.shape, 2), -1, np.float32)
+        place[box] = np.stack([origins % width + columns.start, origins // width + rows.start], -1)
+        before = np.full_like(place, -1) if self.copies is None else self.copies
+        self.copies = np.where(where[..., None], place, before).astype(np.float32)
 
     def settle(self, where: Mask, depth: NDArray[np.floating]) -> None:
         """Take the surface of the unsure cells `where` from `depth`, z [h, w] of the cells."""
@@ -132,7 +143,9 @@ def complete_from_photos(
     for draft in drafts:
         _span_unsure(draft)
         draft.fill(draft.missing, fill_telea(draft.picture, draft.missing), SMOOTH)
-    made = [Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth) for d in drafts]
+    made = [
+        Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth, d.copies) for d in drafts
+    ]
     return made, _describe(unknown, list(paintings or {}), references), references
 
 
@@ -253,7 +266,9 @@ def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
         box = (rows, columns)
         colours = draft.picture.copy()
         blank = draft.missing | ~(draft.view.known | draft.view.hole)
-        colours[box] = fill_by_example(draft.picture[box], blank[box], source[box], variety=variety, seed=seed)
+        colours[box], origins = fill_by_example(draft.picture[box], blank[box], source[box], variety=variety, seed=seed)
+        if origins is not None:
+            draft.note_copies(gap, origins, box)
         draft.fill(gap, colours, EXAMPLE)
 
 
