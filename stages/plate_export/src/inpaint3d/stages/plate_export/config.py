@@ -15,7 +15,7 @@ class Config(Closed):
     )
     grain: bool = Field(default=True, description="whether what is smoother than the photo gets the photo's grain")
     plan_side: Annotated[int, Field(ge=64)] = Field(
-        default=1024, description="longest side of a photo, pixels, at which depths and colours are matched"
+        default=640, description="longest side of a photo, pixels, at which depths and colours are matched"
     )
     tile: Annotated[int, Field(ge=64)] = Field(
         default=1024, description="side, pixels, of the pieces in which a hole is filled: bounds memory"

@@ -50,9 +50,8 @@ def read_photo(path: Path) -> tuple[Codes, PhotoFile]:
 
 
 def _stored_kind(spec: oiio.ImageSpec) -> str:
-    base = oiio.TypeDesc(spec.format).basetype
-    known = {oiio.BASETYPE.UINT8: "uint8", oiio.BASETYPE.UINT16: "uint16", oiio.BASETYPE.HALF: "half"}
-    return known.get(base, "float")
+    kind = str(spec.format)
+    return kind if kind in ("uint8", "uint16", "half") else "float"
 
 
 def _choose_suffix(spec: oiio.ImageSpec, kind: str) -> str:
@@ -69,7 +68,9 @@ def write_plate(path: Path, codes: Codes, photo: PhotoFile) -> None:
     spec = oiio.ImageSpec(width, height, channels, KINDS[codes.dtype.name])
     spec.channelnames = photo.spec.channelnames
     for attribute in photo.spec.extra_attribs:
-        if attribute.name not in _PACKING and not attribute.name.startswith(("jpeg:", "png:", "thumbnail")):
+        if attribute.name not in _PACKING and not attribute.name.startswith(
+            ("jpeg:", "png:", "thumbnail", "oiio:Source")
+        ):
             spec.attribute(attribute.name, attribute.type, attribute.value)
     # JPEG's and others' words for their packing mean nothing to another writer.
     spec.attribute("compression", "zip")

@@ -1,12 +1,13 @@
 """What a hole is filled from: each piece gives colours for rays of the plate's camera, at any fineness."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES, Origin
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.plate_export.colours import ColourMap, match_completed, match_photos, prepare_completed
@@ -21,6 +22,10 @@ PAINTED, EXAMPLE = SOURCE_CODES["painted"], SOURCE_CODES["example"]
 class Piece(Protocol):
     """Colours of a part of the hole."""
 
+    def find_usable(self, rays: Floats, disparity: Floats) -> Mask:
+        """Behind which rays [n, 2], at 1 / z [n], it has colours."""
+        ...
+
     def sample(self, rays: Floats, disparity: Floats, cell: int) -> tuple[Colours, Mask]:
         """Colours [n, c] in the plate's codes behind rays [n, 2] at 1 / z [n], means of cells; and where it has any."""
         ...
@@ -33,17 +38,35 @@ class FromView:
     target: PlateView
     source: PlateView
     photos: Photos
-    colours: ColourMap
     plate: bool = False
+    checked: bool = False
+    """Whether it is asked that the source sees the surface: completion has not said so."""
+
+    @cached_property
+    def colours(self) -> ColourMap:
+        """What brings the source's codes to the plate's."""
+        return match_photos(self.target, self.source, self.photos)
+
+    def find_usable(self, rays: Floats, disparity: Floats) -> Mask:
+        there, z = self._find(rays, disparity)
+        return self._judge(there, z, self.source.camera.project(there))
 
     def sample(self, rays: Floats, disparity: Floats, cell: int) -> tuple[Colours, Mask]:
-        there, z = self.source.camera.to_rays(self.target.camera.to_world(rays, disparity))
-        usable = (z > 0) & (self.source.sees(there, z) if self.plate else self.source.knows(there))
+        there, z = self._find(rays, disparity)
         xy = self.source.camera.project(there)
-        usable &= self.source.camera.inside(xy)
+        usable = self._judge(there, z, xy)
         made = np.zeros((len(rays), len(self.colours.offset)), np.float32)
         made[usable] = self.colours(self.photos.sample(self.source.name, xy[usable], cell, plate=self.plate))
         return made, usable
+
+    def _find(self, rays: Floats, disparity: Floats) -> tuple[Floats, Floats]:
+        return self.source.camera.to_rays(self.target.camera.to_world(rays, disparity))
+
+    def _judge(self, there: Floats, z: Floats, xy: Floats) -> Mask:
+        usable = (z > 0) & self.source.camera.inside(xy)
+        if not self.plate:
+            usable &= self.source.knows(there)
+        return usable & self.source.sees(there, z) if self.plate or self.checked else usable
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,17 +78,11 @@ class Copied:
     colours: ColourMap
 
     def sample(self, rays: Floats, disparity: Floats, cell: int) -> tuple[Colours, Mask]:  # noqa: ARG002 - no depth
-        view, copies = self.view, _require(self.view.copies)
+        view, (origin, there, usable) = self.view, self._find(rays)
+        xy = view.camera.project(there)
         posed = view.camera.to_posed(rays)
         height, width = view.hole.shape
         x, y = posed[:, 0].astype(np.int64).clip(0, width - 1), posed[:, 1].astype(np.int64).clip(0, height - 1)
-        origin = copies[y, x].astype(np.float64)
-        usable = np.asarray((origin >= 0).all(-1), bool)
-        # Within a pixel of the posed view the photo goes on beside the origin as it does here.
-        there = np.where(usable[:, None], origin, 0) + posed - np.floor(posed)
-        camera = view.camera.posed
-        xy = view.camera.project((there - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
-        usable &= view.camera.inside(xy)
         column, row = (origin[:, axis].astype(np.int64).clip(0) for axis in (0, 1))
         filled, given = (
             prepare_completed(p, self.photos, view) for p in (view.picture[y, x], view.picture[row, column])
@@ -74,6 +91,22 @@ class Copied:
         made = np.zeros((len(rays), len(self.colours.offset)), np.float32)
         made[usable] = self.photos.sample(view.name, xy[usable], cell, plate=True) + lighter[usable]
         return made, usable
+
+    def find_usable(self, rays: Floats, disparity: Floats) -> Mask:  # noqa: ARG002 - no depth
+        return self._find(rays)[2]
+
+    def _find(self, rays: Floats) -> tuple[Floats, Floats, Mask]:
+        """The posed view's pixels [n, 2] that were copied, rays [n, 2] to the copies' places, and which there are."""
+        view, copies = self.view, _require(self.view.copies)
+        posed = view.camera.to_posed(rays)
+        height, width = view.hole.shape
+        x, y = posed[:, 0].astype(np.int64).clip(0, width - 1), posed[:, 1].astype(np.int64).clip(0, height - 1)
+        origin = copies[y, x].astype(np.float64)
+        usable = np.asarray((origin >= 0).all(-1), bool)
+        # Within a pixel of the posed view the photo goes on beside the origin as it does here.
+        at = np.where(usable[:, None], origin, 0) + posed - np.floor(posed)
+        there = (at - (view.camera.posed.cx, view.camera.posed.cy)) / (view.camera.posed.fx, view.camera.posed.fy)
+        return origin, there, usable & view.camera.inside(view.camera.project(there))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +122,16 @@ class Painted:
     def sample(self, rays: Floats, disparity: Floats, cell: int) -> tuple[Colours, Mask]:  # noqa: ARG002 - no depth
         camera = self.view.camera.canvas
         xy = rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+        colours = prepare_completed(sample_cubic(self.canvas, xy).clip(0, 1), self.photos, self.view)
+        return self.colours(colours), self.find_usable(rays, disparity)
+
+    def find_usable(self, rays: Floats, disparity: Floats) -> Mask:  # noqa: ARG002 - no depth
+        camera = self.view.camera.canvas
+        xy = rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
         x, y = (
             xy[:, axis].astype(np.int64).clip(0, side - 1) for axis, side in ((0, camera.width), (1, camera.height))
         )
-        usable = self.mask[y, x]
-        colours = prepare_completed(sample_cubic(self.canvas, xy).clip(0, 1), self.photos, self.view)
-        return self.colours(colours), usable
+        return self.mask[y, x]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +146,23 @@ class Enlarged:
         srgb = sample_bilinear(self.view.picture, self.view.camera.to_posed(rays))
         return self.colours(prepare_completed(srgb, self.photos, self.view)), np.ones(len(rays), bool)
 
+    def find_usable(self, rays: Floats, disparity: Floats) -> Mask:  # noqa: ARG002 - no depth
+        return np.ones(len(rays), bool)
+
 
 def _require(copies: object) -> np.ndarray:
     if not isinstance(copies, np.ndarray):
         raise TypeError("a view without copies has no piece that is copied")
     return copies
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """A piece, the source codes that it may fill, and for a photo the piece that fills what others were to."""
+
+    codes: tuple[int, ...]
+    piece: Piece
+    seen: Piece | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,28 +180,28 @@ def choose_pieces(
     codes: Sequence[int],
     plates: Sequence[int],
     canvas: Canvas | None,
-) -> list[tuple[tuple[int, ...], Origin | None, Piece]]:
-    """Pieces in the order in which they are asked: the source codes that each may fill, whose it is, and the piece.
+) -> list[Offer]:
+    """What fills the hole, in the order in which it is asked; the last can fill anything.
 
     codes: of the view's source map. plates: views whose plates are made, in the order in which they count.
     """
     view = views[index]
     completed = match_completed(view, photos)
-    found: list[tuple[tuple[int, ...], Origin | None, Piece]] = []
+    found: list[Offer] = []
     invented = tuple(code for code in codes if code < FIRST_PHOTO)
     if canvas is not None:
-        found.append(((PAINTED,), "painted", Painted(view, photos, completed, canvas.picture, canvas.mask)))
+        found.append(Offer((PAINTED,), Painted(view, photos, completed, canvas.picture, canvas.mask)))
     for code in codes:
         if code >= FIRST_PHOTO and _alike(view, views[code - FIRST_PHOTO], photos):
             source = views[code - FIRST_PHOTO]
-            found.append(((code,), "photos", FromView(view, source, photos, match_photos(view, source, photos))))
+            piece = FromView(view, source, photos)
+            found.append(Offer((code,), piece, replace(piece, checked=True)))
     if view.copies is not None:
-        found.append(((EXAMPLE,), "example", Copied(view, photos, completed)))
+        found.append(Offer((EXAMPLE,), Copied(view, photos, completed)))
     for number in plates:
         if number != index and _alike(view, views[number], photos):
-            colours = match_photos(view, views[number], photos)
-            found.append((invented, None, FromView(view, views[number], photos, colours, plate=True)))
-    found.append((tuple(codes), None, Enlarged(view, photos, completed)))
+            found.append(Offer(invented, FromView(view, views[number], photos, plate=True)))
+    found.append(Offer((), Enlarged(view, photos, completed)))
     return found
 
 

@@ -15,7 +15,7 @@ from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.plate_export.lens import Box, Floats
 from inpaint3d.stages.plate_export.photo_files import Colours
 from inpaint3d.stages.plate_export.photos import Photos
-from inpaint3d.stages.plate_export.pieces import Piece
+from inpaint3d.stages.plate_export.pieces import Offer, Piece
 from inpaint3d.stages.plate_export.views import PlateView
 
 RING = 12
@@ -25,6 +25,8 @@ SEAM = 3
 MAX_STEP = 0.15
 """A step, of full range, from which on two sides of a seam are two things, and are not joined."""
 RELAXATIONS = 30
+MAX_PHOTOS = 6
+"""Photos that a hole is filled from, where these show what it needs."""
 FEATHER = 1.2
 """Cells over which pieces fade into each other (standard deviation)."""
 
@@ -91,16 +93,31 @@ def make_grid(view: PlateView, box: Box, cell: int) -> Grid:
     return Grid(box, cell, rays, hole, view.knows(rays) & ~hole, np.where(hole, codes, 0).astype(np.uint16))
 
 
-def assign_pieces(grid: Grid, disparity: Floats, offered: Sequence[tuple[tuple[int, ...], Piece]]) -> NDArray[np.int64]:
-    """For each cell of the hole the number of the first offered piece that may fill it and can; -1 elsewhere."""
+def assign_pieces(grid: Grid, disparity: Floats, offered: Sequence[Offer]) -> NDArray[np.int64]:
+    """For each cell of the hole the number of the first offered piece that may fill it and can; -1 elsewhere.
+
+    What came from many photos is taken from the few that show most, as far as they show it: every seam costs.
+    """
     labels = np.full(grid.hole.shape, -1)
-    for number, (codes, piece) in enumerate(offered):
-        asked = grid.hole & (labels < 0) & (np.isin(grid.codes, codes) | (number == len(offered) - 1))
-        if asked.any():
-            _, usable = piece.sample(grid.rays[asked], disparity[asked], grid.cell)
-            y, x = np.nonzero(asked)
-            labels[y[usable], x[usable]] = number
+    for number, offer in enumerate(offered):
+        may = np.isin(grid.codes, offer.codes) | (number == len(offered) - 1)
+        _take(labels, number, grid.hole & (labels < 0) & may, grid, disparity, offer.piece)
+    photos = [i for i, offer in enumerate(offered) if offer.seen is not None]
+    counts = np.bincount(labels[labels >= 0], minlength=len(offered))
+    ranked = sorted((i for i in photos if counts[i]), key=lambda i: -counts[i])
+    few = np.isin(labels, ranked[MAX_PHOTOS:])
+    for number in ranked[:MAX_PHOTOS]:
+        if (seen := offered[number].seen) is not None:
+            _take(labels, number, few & ~np.isin(labels, ranked[:MAX_PHOTOS]), grid, disparity, seen)
     return labels
+
+
+def _take(labels: NDArray[np.int64], number: int, asked: Mask, grid: Grid, disparity: Floats, piece: Piece) -> None:
+    """Give `number` to the cells of `asked` [h, w] for which the piece has colours."""
+    if asked.any():
+        usable = piece.find_usable(grid.rays[asked], disparity[asked])
+        y, x = np.nonzero(asked)
+        labels[y[usable], x[usable]] = number
 
 
 def make_plan(
@@ -161,24 +178,35 @@ def even_out(
     channels = own.shape[-1]
     held, rim = np.zeros(own.shape, np.float64), np.zeros(grid.hole.shape, bool)
     bend = np.zeros(own.shape, np.float64)
-    for index, (made, there) in enumerate(zip(colours, valid, strict=True)):
-        part = labels == index
-        step, sure = _average_step(own - made, there & grid.known)
-        edge = sure & grid.known & grow(part, 1)
-        held[edge], rim = step[edge], rim | edge
-        for other in range(len(colours)):
-            beside = labels == other
-            if other == index or not (grow(part, 1) & beside).any():
+    beside = [grow(labels == i, 1) for i in range(len(colours))]
+    for one, (made, there) in enumerate(zip(colours, valid, strict=True)):
+        if (near := _window(beside[one] & grid.known)) is not None:
+            step, sure = _average_step((own[near] - made[near]), there[near] & grid.known[near])
+            edge = sure & grid.known[near] & beside[one][near]
+            held[near][edge], rim[near] = step[edge], rim[near] | edge
+        for other in range(one + 1, len(colours)):
+            if (near := _window(beside[one] & beside[other])) is None:
                 continue
-            step, sure = _average_step(made - colours[other], there & valid[other] & grid.hole)
-            for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                crosses = part & np.roll(beside, (-dy, -dx), (0, 1)) & sure
-                bend[crosses] += step[crosses]
+            both = there[near] & valid[other][near] & grid.hole[near]
+            step, sure = _average_step(made[near] - colours[other][near], both)
+            for a, b, sign in ((one, other, 1), (other, one, -1)):
+                for shift in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                    crosses = (labels[near] == a) & np.roll(labels[near] == b, shift, (0, 1)) & sure
+                    bend[near][crosses] += sign * step[crosses]
     spanned = np.stack(
         [span_membrane(held[..., c], rim, bend[..., c], rounds=RELAXATIONS) for c in range(channels)], -1
     ).astype(np.float32)
     # Beyond its part a piece is still seen a little, where it fades: its change goes on there.
     return [_extend(spanned, labels == i) for i in range(len(colours))]
+
+
+def _window(mask: Mask) -> tuple[slice, slice] | None:
+    """Rows and columns of what is set, and as many around it as a step is averaged over; None where nothing is."""
+    if not mask.any():
+        return None
+    spans = (np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0)))
+    rows, columns = (slice(max(0, s[0] - 3 * SEAM), s[-1] + 1 + 3 * SEAM) for s in spans)
+    return rows, columns
 
 
 def _average_step(step: Colours, usable: Mask) -> tuple[Colours, Mask]:

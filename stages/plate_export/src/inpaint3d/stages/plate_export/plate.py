@@ -14,7 +14,7 @@ from inpaint3d.stages.plate_export.grain import add_grain
 from inpaint3d.stages.plate_export.lens import Box
 from inpaint3d.stages.plate_export.photo_files import Codes, Colours, to_codes, to_colours
 from inpaint3d.stages.plate_export.photos import Photos
-from inpaint3d.stages.plate_export.pieces import Canvas, Copied, FromView, Piece, choose_pieces
+from inpaint3d.stages.plate_export.pieces import Canvas, Copied, FromView, Offer, Piece, choose_pieces
 from inpaint3d.stages.plate_export.plan import RING, Plan, assign_pieces, find_box, make_grid, make_plan, sample_cells
 from inpaint3d.stages.plate_export.registration import refine_disparity
 from inpaint3d.stages.plate_export.views import PlateView
@@ -61,30 +61,32 @@ def make_plate(
         return Plate(codes, filled, {})
     grid = make_grid(view, box, cell)
     present = [int(code) for code in np.unique(grid.codes[grid.hole])]
-    offered = [(c, piece) for c, _, piece in choose_pieces(index, views, photos, present, plates, canvas)]
+    offered = choose_pieces(index, views, photos, present, plates, canvas)
     disparity, shift = view.disparity_at(grid.rays), 0.0
     if config.registration:
         labels = assign_pieces(grid, disparity, offered)
         disparity, shift = refine_disparity(view, photos, grid, disparity, _rank_photos(offered, labels))
     # What is copied within the view may lie on what other photos fill: those first.
-    rounds = [[o for o in offered if not isinstance(o[1], Copied)], offered] if view.copies is not None else [offered]
+    rounds = (
+        [[o for o in offered if not isinstance(o.piece, Copied)], offered] if view.copies is not None else [offered]
+    )
     plan: Plan | None = None
     for chosen in rounds:
         labels = assign_pieces(grid, disparity, chosen)
-        plan = make_plan(view, photos, grid, disparity, [piece for _, piece in chosen], labels)
+        plan = make_plan(view, photos, grid, disparity, [offer.piece for offer in chosen], labels)
         for tile in box.tiles(config.tile):
-            _fill_tile(view, plan, chosen[-1][1], tile, codes, filled, photos.file(view.name).colours)
+            _fill_tile(view, plan, chosen[-1].piece, tile, codes, filled, photos.file(view.name).colours)
     grain = 0.0
     if config.grain and plan is not None:
         grain = _match_grain(plan, codes, filled, photos.file(view.name).colours, np.random.default_rng([seed, index]))
     return Plate(codes, filled, share_sources(grid.codes[grid.hole]), shift, grain)
 
 
-def _rank_photos(offered: Sequence[tuple[tuple[int, ...], Piece]], labels: NDArray[np.int64]) -> list[FromView]:
+def _rank_photos(offered: Sequence[Offer], labels: NDArray[np.int64]) -> list[FromView]:
     """The photos that fill most first."""
     counts = np.bincount(labels[labels >= 0], minlength=len(offered))
     ranked = sorted(range(len(offered)), key=lambda i: -counts[i])
-    found = [offered[i][1] for i in ranked if counts[i]]
+    found = [offered[i].piece for i in ranked if counts[i]]
     return [piece for piece in found if isinstance(piece, FromView) and not piece.plate]
 
 

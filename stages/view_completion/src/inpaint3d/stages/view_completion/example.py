@@ -51,8 +51,9 @@ def fill_by_example(
     each pixel was copied from, as of `copy_patches`.
 
     What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
-    holds no whole patch the hole is filled by Telea's method, and nothing copied. variety: at the coarsest level any patch may be taken
-    that is by at most this share less alike than the best; which, `seed` says. The same arguments give the same bytes.
+    holds no whole patch the hole is filled by Telea's method, and nothing copied. variety: at the coarsest level any
+    patch may be taken that is by at most this share less alike than the best; which, `seed` says. The same arguments
+    give the same bytes.
     """
     made = copy_patches(image, hole, source, variety=variety, seed=seed)
     if made is None:
