@@ -17,7 +17,7 @@ Colours = NDArray[np.float32]
 KINDS = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float16": oiio.HALF, "float32": oiio.FLOAT}
 KEPT_FORMATS = {"png": ".png", "tiff": ".tif", "openexr": ".exr"}
 # What says how the file was packed, and not what it shows.
-_PACKING = ("Orientation", "thumbnail_width", "thumbnail_height", "thumbnail_nchannels", "thumbnail_image")
+PACKING = ("Orientation", "thumbnail", "jpeg:", "png:", "openexr:", "oiio:Source", "oiio:BitsPerSample", "tiff:")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +65,12 @@ def _choose_suffix(spec: oiio.ImageSpec, kind: str) -> str:
 def write_plate(path: Path, codes: Codes, photo: PhotoFile) -> None:
     """Write codes [h, w, c] with the photo's depth, profile and EXIF, upright."""
     height, width, channels = codes.shape
-    spec = oiio.ImageSpec(width, height, channels, KINDS[codes.dtype.name])
-    spec.channelnames = photo.spec.channelnames
-    for attribute in photo.spec.extra_attribs:
-        if attribute.name not in _PACKING and not attribute.name.startswith(
-            ("jpeg:", "png:", "thumbnail", "oiio:Source")
-        ):
-            spec.attribute(attribute.name, attribute.type, attribute.value)
+    spec = oiio.ImageSpec(photo.spec)
+    spec.set_format(KINDS[codes.dtype.name])
+    spec.width, spec.height, spec.full_width, spec.full_height = width, height, width, height
+    spec.x = spec.y = spec.full_x = spec.full_y = spec.tile_width = spec.tile_height = 0
+    for name in {a.name for a in spec.extra_attribs if a.name.startswith(PACKING)}:
+        spec.erase_attribute(name)
     # JPEG's and others' words for their packing mean nothing to another writer.
     spec.attribute("compression", "zip")
     spec.attribute("png:compressionLevel", 2)
