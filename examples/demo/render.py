@@ -173,14 +173,14 @@ def radiance_of(scene: mi.Scene, shot: Shot, spp: int, seed: int, cache: Path) -
 
 
 def render_clean(scene: mi.Scene, taken: list[Shot], options: argparse.Namespace) -> None:
-    """What the photos would have been without the figure: their cameras and exposures, a quarter of their noise."""
+    """What the photos would have been without the figure: their cameras, exposures and noise."""
     cache = options.cache / "clean"
     cache.mkdir(parents=True, exist_ok=True)
     for index, shot in enumerate(taken):
         if options.only and shot.name not in options.only:
             continue
         radiance = radiance_of(scene, shot, options.spp, options.seed * 10_000 + index, cache)
-        pixels = develop(radiance, shot, np.random.default_rng([options.seed, 200, index]), noise=0.25)
+        pixels = develop(radiance, shot, np.random.default_rng([options.seed, 200, index]), noise=options.noise)
         write_picture(options.out / "renderer/clean" / f"{shot.name}.png", pixels)
 
 
@@ -198,6 +198,7 @@ def parse() -> argparse.Namespace:
         action="store_true",
         help="the photos' own views without the figure, to `renderer/clean`; for studies",
     )
+    parser.add_argument("--noise", type=float, default=1.0, help="with --clean: share of a photo's noise")
     parser.add_argument("--variant", default="llvm_ad_rgb")
     return parser.parse_args()
 

@@ -7,10 +7,11 @@ from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.view_completion.config import PhotoCompletion
-from inpaint3d.stages.view_completion.photo_completion import Painting, complete_from_photos
+from inpaint3d.stages.view_completion.photo_completion import complete_from_photos
 
 NO_CODES = AppearanceMap(None)
 THREE = PhotoCompletion(max_reference_views=3)
@@ -40,7 +41,7 @@ def error(room: SyntheticScene, pictures: list[np.ndarray]) -> float:
 def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
     """With the true depth behind the ball the pictures come far nearer to the empty room than a smooth filling."""
     views = views_of(large)
-    made, words, references = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, words, references, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
     pictures = [one.picture for one in made]
     smooth = [fill_telea(v.image, v.hole) for v in views]
     assert error(large, pictures) < 0.6 * error(large, smooth)
@@ -53,7 +54,7 @@ def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
 def test_what_is_made_up_is_the_same_from_every_view(large: SyntheticScene) -> None:
     """A point of the floor under the ball has one colour, however many views it is seen from."""
     views = views_of(large)
-    made, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
     pictures = [one.picture for one in made]
     smooth = [fill_telea(v.image, v.hole) for v in views]
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -81,7 +82,7 @@ def test_a_surface_that_no_photo_shows_is_spanned_and_carried(large: SyntheticSc
         under_the_ball = hole & (np.hypot(points[..., 0], points[..., 1]) < 0.2)
         assert under_the_ball.any()
         lost[name] = np.where(under_the_ball, 0.4 * depth, depth).astype(np.float32)
-    made, _, _ = complete_from_photos(views, lost, NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, lost, NO_CODES, THREE, seed=0)
     for view, one, depth in zip(views, made, large.empty_depths, strict=True):
         assert one.depth is not None
         wrong = np.abs(lost[view.name] / depth - 1)[view.hole]
@@ -104,7 +105,7 @@ def test_known_elsewhere_or_made_up_is_told_apart(large: SyntheticScene) -> None
 def test_every_filled_pixel_says_where_it_came_from(large: SyntheticScene) -> None:
     """All of the hole and nothing else; a pixel that is a photo's has the colour that the photo has there."""
     views = views_of(large)
-    made, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
     for view, one in zip(views, made, strict=True):
         np.testing.assert_array_equal(one.sources > 0, view.hole)
     sources = np.concatenate([one.sources[one.sources > 0] for one in made])
@@ -127,7 +128,7 @@ def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticSc
     views = views_of(large)
     painted = np.broadcast_to(np.array([1.0, 0.0, 1.0], np.float32), views[0].image.shape)
     everywhere = np.ones_like(views[0].hole)
-    made, words, _ = complete_from_photos(
+    made, words, _, _ = complete_from_photos(
         views, depths_of(large), NO_CODES, THREE, seed=0, paintings={views[0].name: Painting(painted, everywhere)}
     )
     assert f"as painted in {views[0].name}" in words
@@ -145,7 +146,7 @@ def test_of_two_paintings_of_one_place_the_first_stays(large: SyntheticScene) ->
     views = views_of(large)
     first, second = (np.broadcast_to(np.array(c, np.float32), views[0].image.shape) for c in ((1, 0, 1), (0, 1, 0)))
     everywhere = np.ones_like(views[0].hole)
-    made, _, _ = complete_from_photos(
+    made, _, _, _ = complete_from_photos(
         views, depths_of(large), NO_CODES, THREE, seed=0,
         paintings={views[0].name: Painting(first, everywhere), views[1].name: Painting(second, everywhere)},
     )  # fmt: skip

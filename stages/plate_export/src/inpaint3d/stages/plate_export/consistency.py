@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from inpaint3d.contracts.models.artifacts import PlateConsistency
+from inpaint3d.scene.cameras import measure_apart
 from inpaint3d.scene.morphology import grow
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.plate_export.colours import match_photos
-from inpaint3d.stages.plate_export.held_out import measure_apart
 from inpaint3d.stages.plate_export.lens import Floats
 from inpaint3d.stages.plate_export.photo_files import Colours
 from inpaint3d.stages.plate_export.photos import Photos
@@ -27,7 +27,7 @@ def measure_consistency(
         rivals = [v for v in views if v is not view and small[v.name].shape[-1] == small[view.name].shape[-1]]
         if not rivals or not view.hole.any():
             continue
-        nearest = min(rivals, key=lambda v: measure_apart(view, v))
+        nearest = min(rivals, key=lambda v: measure_apart(view.camera.posed, v.camera.posed))
         found = _compare(view, nearest, photos, small)
         sums += found[0]
         counts += found[1]

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO
+from inpaint3d.scene.cameras import measure_apart
 from inpaint3d.scene.membrane import span_membrane
 from inpaint3d.scene.reprojection import sample_bilinear, sparse_depth
 from inpaint3d.stages.plate_export.views import PlateView
@@ -17,7 +18,10 @@ NEIGHBOURS = 6
 
 def complete_held_out(view: PlateView, views: Sequence[PlateView]) -> PlateView:
     """The view with disparity, sources and picture as completed views have them, seen from where it stands."""
-    ranked = sorted((i for i, v in enumerate(views) if v.completed), key=lambda i: measure_apart(view, views[i]))
+    ranked = sorted(
+        (i for i, v in enumerate(views) if v.completed),
+        key=lambda i: measure_apart(view.camera.posed, views[i].camera.posed),
+    )
     near = ranked[:NEIGHBOURS]
     h, w = views[near[0]].disparity.shape
     small = view.camera.posed.resize_to(w, h)
@@ -32,12 +36,6 @@ def complete_held_out(view: PlateView, views: Sequence[PlateView]) -> PlateView:
     # A lone cell is what a grazing view splats before the surface, or sees through its cracks.
     disparity = cv2.medianBlur(disparity.astype(np.float32), 3).astype(np.float64)
     return _take_colours(replace(view, disparity=disparity), near, views)
-
-
-def measure_apart(one: PlateView, other: PlateView) -> float:
-    """How differently two views look: distance of their centres, and of their axes' unit vectors."""
-    a, b = one.camera.posed, other.camera.posed
-    return float(np.linalg.norm(a.centre - b.centre) + np.linalg.norm(a.forward - b.forward))
 
 
 def _take_colours(view: PlateView, near: Sequence[int], views: Sequence[PlateView]) -> PlateView:

@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
-from inpaint3d.scene.image_io import Image, Mask
+from inpaint3d.scene.image_io import Mask
+from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.plate_export.colours import ColourMap, match_completed, match_photos, prepare_completed
 from inpaint3d.stages.plate_export.lens import Floats
@@ -111,18 +112,17 @@ class Copied:
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """What somebody painted on the canvas of this view: [h, w, 3] of the photo's size, sRGB, undistorted."""
+    """What somebody painted on the canvas of this view."""
 
     view: PlateView
     photos: Photos
     colours: ColourMap
-    canvas: Image
-    mask: Mask
+    painting: Painting
 
     def sample(self, rays: Floats, disparity: Floats, cell: int) -> tuple[Colours, Mask]:  # noqa: ARG002 - no depth
         camera = self.view.camera.canvas
         xy = rays * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-        colours = prepare_completed(sample_cubic(self.canvas, xy).clip(0, 1), self.photos, self.view)
+        colours = prepare_completed(sample_cubic(self.painting.picture, xy).clip(0, 1), self.photos, self.view)
         return self.colours(colours), self.find_usable(rays, disparity)
 
     def find_usable(self, rays: Floats, disparity: Floats) -> Mask:  # noqa: ARG002 - no depth
@@ -131,7 +131,7 @@ class Painted:
         x, y = (
             xy[:, axis].astype(np.int64).clip(0, side - 1) for axis, side in ((0, camera.width), (1, camera.height))
         )
-        return self.mask[y, x]
+        return self.painting.mask[y, x]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,21 +165,13 @@ class Offer:
     seen: Piece | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Canvas:
-    """A painted view's picture [h, w, 3] in sRGB and where it was painted [h, w], of the photo's size, undistorted."""
-
-    picture: Image
-    mask: Mask
-
-
 def choose_pieces(
     index: int,
     views: Sequence[PlateView],
     photos: Photos,
     codes: Sequence[int],
     plates: Sequence[int],
-    canvas: Canvas | None,
+    painting: Painting | None,
 ) -> list[Offer]:
     """What fills the hole, in the order in which it is asked; the last can fill anything.
 
@@ -189,8 +181,8 @@ def choose_pieces(
     completed = match_completed(view, photos)
     found: list[Offer] = []
     invented = tuple(code for code in codes if code < FIRST_PHOTO)
-    if canvas is not None:
-        found.append(Offer((PAINTED,), Painted(view, photos, completed, canvas.picture, canvas.mask)))
+    if painting is not None:
+        found.append(Offer((PAINTED,), Painted(view, photos, completed, painting)))
     for code in codes:
         if code >= FIRST_PHOTO and _alike(view, views[code - FIRST_PHOTO], photos):
             source = views[code - FIRST_PHOTO]

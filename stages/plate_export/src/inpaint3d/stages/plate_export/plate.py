@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts.completion import Origin
 from inpaint3d.scene.image_io import Mask
+from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.source_maps import share_sources
 from inpaint3d.stages.plate_export.config import Config
 from inpaint3d.stages.plate_export.grain import add_grain
 from inpaint3d.stages.plate_export.lens import Box
 from inpaint3d.stages.plate_export.photo_files import Codes, Colours, to_codes, to_colours
 from inpaint3d.stages.plate_export.photos import Photos
-from inpaint3d.stages.plate_export.pieces import Canvas, Copied, FromView, Offer, Piece, choose_pieces
+from inpaint3d.stages.plate_export.pieces import Copied, FromView, Offer, Piece, choose_pieces
 from inpaint3d.stages.plate_export.plan import RING, Plan, assign_pieces, find_box, make_grid, make_plan, sample_cells
 from inpaint3d.stages.plate_export.registration import refine_disparity
 from inpaint3d.stages.plate_export.views import PlateView
@@ -43,12 +44,12 @@ def make_plate(
     config: Config,
     *,
     plates: Sequence[int] = (),
-    canvas: Canvas | None = None,
+    painting: Painting | None = None,
     seed: int = 0,
 ) -> Plate:
     """The photo of `views[index]` with its hole filled; every other pixel keeps its codes.
 
-    plates: numbers of the views whose plates photos holds, those first whose made-up surfaces count more. canvas: what
+    plates: numbers of the views whose plates photos holds, those first whose made-up surfaces count more. painting: what
     was painted into this very view.
     """
     view = views[index]
@@ -61,7 +62,7 @@ def make_plate(
         return Plate(codes, filled, {})
     grid = make_grid(view, box, cell)
     present = [int(code) for code in np.unique(grid.codes[grid.hole])]
-    offered = choose_pieces(index, views, photos, present, plates, canvas)
+    offered = choose_pieces(index, views, photos, present, plates, painting)
     disparity, shift = view.disparity_at(grid.rays), 0.0
     if config.registration:
         labels = assign_pieces(grid, disparity, offered)

@@ -17,15 +17,16 @@ from inpaint3d.contracts.models.artifacts import (
     PosedCapture,
 )
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.scene.image_io import read_image, read_mask, write_mask
+from inpaint3d.scene.cameras import measure_apart
+from inpaint3d.scene.image_io import write_mask
+from inpaint3d.scene.paintings import Painting, read_painting
 from inpaint3d.stages.plate_export.canvases import write_canvas
 from inpaint3d.stages.plate_export.config import Config
 from inpaint3d.stages.plate_export.consistency import measure_consistency
 from inpaint3d.stages.plate_export.dataset import write_dataset
-from inpaint3d.stages.plate_export.held_out import complete_held_out, measure_apart
+from inpaint3d.stages.plate_export.held_out import complete_held_out
 from inpaint3d.stages.plate_export.photo_files import Colours, to_colours, write_plate
 from inpaint3d.stages.plate_export.photos import Photos, reduce_area
-from inpaint3d.stages.plate_export.pieces import Canvas
 from inpaint3d.stages.plate_export.plate import Plate, make_plate
 from inpaint3d.stages.plate_export.views import PlateView, load_views
 
@@ -49,7 +50,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         made = [i for i in order[:done] if i in carried]
         plate = make_plate(
             index, views, photos, config,
-            plates=rank_carried(view, made, views, painted), canvas=painted.get(view.name), seed=ctx.seed,
+            plates=rank_carried(view, made, views, painted), painting=painted.get(view.name), seed=ctx.seed,
         )  # fmt: skip
         if index not in carried:
             photos.drop_plate(view.name)
@@ -82,26 +83,28 @@ def order_views(views: Sequence[PlateView], painted: Sequence[str], references: 
 
 
 def rank_carried(
-    view: PlateView, made: Sequence[int], views: Sequence[PlateView], painted: dict[str, Canvas]
+    view: PlateView, made: Sequence[int], views: Sequence[PlateView], painted: dict[str, Painting]
 ) -> list[int]:
     """Plates that this one may take from: painted ones, the nearest first, then the others as they were made."""
     by_hand = [i for i in made if views[i].name in painted]
-    return [*sorted(by_hand, key=lambda i: measure_apart(view, views[i])), *(i for i in made if i not in by_hand)]
+    return [
+        *sorted(by_hand, key=lambda i: measure_apart(view.camera.posed, views[i].camera.posed)),
+        *(i for i in made if i not in by_hand),
+    ]
 
 
-def load_canvases(painted: Artifact[PaintedViews] | None, views: Sequence[PlateView]) -> dict[str, Canvas]:
-    """What was painted, by view. BadInputError where a picture is not of its photo's size."""
+def load_canvases(painted: Artifact[PaintedViews] | None, views: Sequence[PlateView]) -> dict[str, Painting]:
+    """What was painted, by view. BadInputError for a view that is not of this capture."""
     if painted is None:
         return {}
     sizes = {v.name: (v.camera.lens.width, v.camera.lens.height) for v in views}
-    canvases: dict[str, Canvas] = {}
+    canvases: dict[str, Painting] = {}
     for one in painted.metadata.views:
         if (size := sizes.get(one.name)) is None:
             raise BadInputError(f"painted view {one.name} is no view of this capture; there are {', '.join(sizes)}")
-        picture = read_image(painted.path(one.picture))
-        if picture.shape[1::-1] != size:
-            continue  # of the posed view's size: completion enlarges to no more
-        canvases[one.name] = Canvas(picture, read_mask(painted.path(one.mask), size))
+        painting = read_painting(painted, one)
+        if painting.picture.shape[1::-1] == size:  # else it is no finer than completion's picture
+            canvases[one.name] = painting
     return canvases
 
 
