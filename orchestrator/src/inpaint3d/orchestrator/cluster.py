@@ -19,8 +19,12 @@ from inpaint3d.orchestrator.configure import ConfiguredPipeline, configure_submi
 from inpaint3d.orchestrator.emit.argo import LABEL, Document, dump, emit
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.history import History, this_machine
-from inpaint3d.orchestrator.intake import MASK_REQUEST, take_mask_request
+from inpaint3d.orchestrator.intake import MASK_REQUEST, PAINTED, take_mask_request
+from inpaint3d.orchestrator.painting import take_painted
 from inpaint3d.orchestrator.plan import Planner, Selection, preview
+
+SUPPLIED = {MASK_REQUEST: "masks", PAINTED: "paintings"}
+"""External that a scene may wait for -> where the store remembers what was supplied."""
 
 
 def prepare(
@@ -54,8 +58,12 @@ def rerun(store: Store, pipeline: Pipeline, cluster: ClusterSpec, name: str, nod
     if unknown := sorted(set(scenes) - set(known)):
         raise ConfigurationError(f"{name} has no scene {', '.join(unknown)}; it has {', '.join(known)}")
     picked = tuple(s for s in known.values() if not scenes or s.name in scenes)
-    waits = submission.awaitMasks and not all(MASK_REQUEST in s.externals for s in picked)
-    chosen = submission.model_copy(update={"scenes": picked, "awaitMasks": waits})
+    there = {external for external in SUPPLIED if all(external in s.externals for s in picked)}
+    waits = {
+        "awaitMasks": submission.awaitMasks and MASK_REQUEST not in there,
+        "awaitPaintings": submission.awaitPaintings and PAINTED not in there,
+    }
+    chosen = submission.model_copy(update={"scenes": picked, **waits})
     for scene in chosen.scenes:
         row = next(r for r in _rows(store, configured, chosen, scene) if r.node == node)
         if row.key is not None:
@@ -69,20 +77,20 @@ def load_submission(store: Store, name: str) -> Submission:
         names = ", ".join(n.removesuffix(".json") for n in store.names("submissions")) or "none yet"
         raise ConfigurationError(f"nothing was submitted as {name}; there are {names}")
     submission = Submission.model_validate_json(data)
-    supplied = {n: (store.read(f"masks/{name}/{n}") or b"").decode() for n in store.names(f"masks/{name}")}
-    scenes = [
-        s.model_copy(update={"externals": {**s.externals, MASK_REQUEST: supplied[s.name]}}) if s.name in supplied else s
-        for s in submission.scenes
-    ]
+    scenes: list[Scene] = []
+    for scene in submission.scenes:
+        found = {e: store.read(f"{folder}/{name}/{scene.name}") for e, folder in SUPPLIED.items()}
+        supplied = {e: data.decode() for e, data in found.items() if data is not None}
+        scenes.append(scene.model_copy(update={"externals": {**scene.externals, **supplied}}))
     return submission.model_copy(update={"scenes": tuple(scenes)})
 
 
-def supply_mask(store: Store, name: str, scene: str, request: Path) -> Digest:
-    """Take the mask request that a scene waits for into the store, and remember it for the scene's record."""
+def supply(store: Store, name: str, scene: str, external: str, path: Path) -> Digest:
+    """Take what a scene waits for into the store, and remember it for the scene's record."""
     if scene not in (known := [s.name for s in load_submission(store, name).scenes]):
         raise ConfigurationError(f"{name} has no scene {scene}; it has {', '.join(known)}")
-    digest = take_mask_request(store, request)
-    store.write(f"masks/{name}/{scene}", digest.encode())
+    digest = take_mask_request(store, path) if external == MASK_REQUEST else take_painted(store, path)
+    store.write(f"{SUPPLIED[external]}/{name}/{scene}", digest.encode())
     return digest
 
 

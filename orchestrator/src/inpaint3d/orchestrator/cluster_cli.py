@@ -18,7 +18,7 @@ from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.argo import dump
 from inpaint3d.orchestrator.emit.check import check
-from inpaint3d.orchestrator.intake import list_scenes, name_run
+from inpaint3d.orchestrator.intake import MASK_REQUEST, PAINTED, list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     IMAGES,
     STORE,
@@ -41,6 +41,9 @@ Cluster = Annotated[Path, typer.Option("--cluster", envvar="INPAINT3D_CLUSTER", 
 AwaitMasks = Annotated[
     bool, typer.Option("--await-masks", help="wait before mask-authoring for somebody to author one")
 ]
+AwaitPaintings = Annotated[
+    bool, typer.Option("--await-paintings", help="wait before view-completion for somebody to paint views")
+]
 SubmissionName = Annotated[str | None, typer.Option("--name", help="default: the capture's folder name")]
 CLUSTER = Path("cluster.yaml")
 
@@ -50,6 +53,7 @@ def add_to(app: typer.Typer) -> None:
     for command in (submit, status, logs, rerun, record):
         app.command()(command)
     app.command(name="take-mask")(take_mask)
+    app.command(name="take-painting")(take_painting)
 
 
 def _cluster(path: Path) -> ClusterSpec:
@@ -64,6 +68,7 @@ def argo(
     name: SubmissionName = None,
     scene: Scenes = None,
     await_masks: AwaitMasks = False,
+    await_paintings: AwaitPaintings = False,
     cluster: Cluster = CLUSTER,
     images: Images = IMAGES,
 ) -> None:
@@ -79,7 +84,9 @@ def argo(
         seed=request.seed,
         device=request.device,
         stub=request.stub,
+        want=tuple(request.want or ()),
         awaitMasks=await_masks,
+        awaitPaintings=await_paintings,
         images=load_document(images, ImagesSpec)[0].spec,
         scenes=tuple(Scene(name=n, externals=configured.take_externals(store, p)) for p, n in scenes),
     )
@@ -163,4 +170,9 @@ def record(
 
 def take_mask(name: str, scene: str, request: Path, store: StorePath = STORE) -> None:
     """Take the mask request of a scene that waits for one; prints the digest that its Workflow is resumed with."""
-    sys.stdout.write(clusters.supply_mask(open_store(store), name, scene, request) + "\n")
+    sys.stdout.write(clusters.supply(open_store(store), name, scene, MASK_REQUEST, request) + "\n")
+
+
+def take_painting(name: str, scene: str, folder: Path, store: StorePath = STORE) -> None:
+    """Take the painted views of a scene that waits for them; prints the digest that its Workflow is resumed with."""
+    sys.stdout.write(clusters.supply(open_store(store), name, scene, PAINTED, folder) + "\n")

@@ -14,7 +14,7 @@ from inpaint3d.scene.morphology import close
 TOUCHED = 3 / 255
 """Difference of a channel from which on a pixel was painted: less is another program's rounding."""
 CLOSED = 0.01
-"""Gaps in what was painted up to this share of the picture's longest side are painted too: a brush leaves some as is."""
+"""Gaps in what was painted up to this share of the longest side are painted too: a brush leaves some as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +44,7 @@ def read_painting(painted: Artifact[PaintedViews], view: PaintedView) -> Paintin
     allowed = read_mask(painted.path(view.mask), size)
     touched = np.abs(picture - asked).max(-1) > TOUCHED
     if not touched.any():
-        raise BadInputError(
-            f"painted view {file} is as it was asked for: nothing was painted; paint inside its mask, or remove the file"
-        )
+        raise BadInputError(f"painted view {file} is as it was asked for: paint inside its mask, or remove the file")
     inside = close(touched & allowed, max(1, round(CLOSED * max(size)))) & allowed
     if not inside.any():
         raise BadInputError(f"painted view {file} was painted outside its mask alone; paint where the mask is white")

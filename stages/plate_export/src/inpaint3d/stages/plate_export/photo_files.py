@@ -64,7 +64,7 @@ def _choose_suffix(spec: oiio.ImageSpec, kind: str) -> str:
 
 def write_plate(path: Path, codes: Codes, photo: PhotoFile) -> None:
     """Write codes [h, w, c] with the photo's depth, profile and EXIF, upright."""
-    height, width, channels = codes.shape
+    height, width = codes.shape[:2]
     spec = oiio.ImageSpec(photo.spec)
     spec.set_format(KINDS[codes.dtype.name])
     spec.width, spec.height, spec.full_width, spec.full_height = width, height, width, height

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.scene.image_io import Mask
@@ -59,6 +60,13 @@ class FromView:
         made = np.zeros((len(rays), len(self.colours.offset)), np.float32)
         made[usable] = self.colours(self.photos.sample(self.source.name, xy[usable], cell, plate=self.plate))
         return made, usable
+
+    def measure_turn(self, rays: Floats, disparity: Floats) -> NDArray[np.float64]:
+        """Angles [n], radians, between the two cameras' lines of sight to the surfaces."""
+        points = self.target.camera.to_world(rays, disparity)
+        one, other = (v.camera.posed.centre - points for v in (self.target, self.source))
+        cosine = (one * other).sum(-1) / (np.linalg.norm(one, axis=-1) * np.linalg.norm(other, axis=-1))
+        return np.arccos(np.clip(cosine, -1, 1))
 
     def _find(self, rays: Floats, disparity: Floats) -> tuple[Floats, Floats]:
         return self.source.camera.to_rays(self.target.camera.to_world(rays, disparity))
@@ -162,7 +170,7 @@ class Offer:
 
     codes: tuple[int, ...]
     piece: Piece
-    seen: Piece | None = None
+    seen: FromView | None = None
 
 
 def choose_pieces(
@@ -183,11 +191,10 @@ def choose_pieces(
     invented = tuple(code for code in codes if code < FIRST_PHOTO)
     if painting is not None:
         found.append(Offer((PAINTED,), Painted(view, photos, completed, painting)))
-    for code in codes:
-        if code >= FIRST_PHOTO and _alike(view, views[code - FIRST_PHOTO], photos):
-            source = views[code - FIRST_PHOTO]
+    for number, source in enumerate(views):
+        if number != index and source.completed and _alike(view, source, photos):
             piece = FromView(view, source, photos)
-            found.append(Offer((code,), piece, replace(piece, checked=True)))
+            found.append(Offer((FIRST_PHOTO + number,), piece, replace(piece, checked=True)))
     if view.copies is not None:
         found.append(Offer((EXAMPLE,), Copied(view, photos, completed)))
     for number in plates:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO
 from inpaint3d.scene.image_io import Mask
 from inpaint3d.scene.membrane import span_membrane
 from inpaint3d.scene.morphology import grow
@@ -25,8 +26,14 @@ SEAM = 3
 MAX_STEP = 0.15
 """A step, of full range, from which on two sides of a seam are two things, and are not joined."""
 RELAXATIONS = 30
-MAX_PHOTOS = 6
+MAX_PHOTOS = 8
 """Photos that a hole is filled from, where these show what it needs."""
+MIN_SHARE = 0.01
+"""Share of what photos show below which another photo is not worth its seams."""
+SAMPLES = 3000
+"""Cells by which photos are ranked."""
+TURN = 0.4
+"""Angle, radians, between two lines of sight by which a photo counts less by a factor e."""
 FEATHER = 1.2
 """Cells over which pieces fade into each other (standard deviation)."""
 
@@ -94,22 +101,42 @@ def make_grid(view: PlateView, box: Box, cell: int) -> Grid:
 
 
 def assign_pieces(grid: Grid, disparity: Floats, offered: Sequence[Offer]) -> NDArray[np.int64]:
-    """For each cell of the hole the number of the first offered piece that may fill it and can; -1 elsewhere.
+    """For each cell of the hole the number of the piece that fills it; -1 elsewhere.
 
-    What came from many photos is taken from the few that show most, as far as they show it: every seam costs.
+    What photos show is taken from few of them, since every seam costs; the rest from the first piece that may and can.
     """
     labels = np.full(grid.hole.shape, -1)
+    shown = grid.hole & (grid.codes >= FIRST_PHOTO)
+    for number in rank_photos(grid, disparity, offered, shown):
+        if (seen := offered[number].seen) is not None:
+            _take(labels, number, shown & (labels < 0), grid, disparity, seen)
     for number, offer in enumerate(offered):
         may = np.isin(grid.codes, offer.codes) | (number == len(offered) - 1)
         _take(labels, number, grid.hole & (labels < 0) & may, grid, disparity, offer.piece)
-    photos = [i for i, offer in enumerate(offered) if offer.seen is not None]
-    counts = np.bincount(labels[labels >= 0], minlength=len(offered))
-    ranked = sorted((i for i in photos if counts[i]), key=lambda i: -counts[i])
-    few = np.isin(labels, ranked[MAX_PHOTOS:])
-    for number in ranked[:MAX_PHOTOS]:
-        if (seen := offered[number].seen) is not None:
-            _take(labels, number, few & ~np.isin(labels, ranked[:MAX_PHOTOS]), grid, disparity, seen)
     return labels
+
+
+def rank_photos(grid: Grid, disparity: Floats, offered: Sequence[Offer], shown: Mask) -> list[int]:
+    """Numbers of the few photos that between them show what is `shown` [h, w], each chosen for what is left, by how
+    much of it it shows and how nearly from the plate's side.
+    """
+    y, x = np.nonzero(shown)
+    step = max(1, len(y) // SAMPLES)
+    rays, near = grid.rays[y[::step], x[::step]], disparity[y[::step], x[::step]]
+    worth: dict[int, NDArray[np.float64]] = {}
+    for number, offer in enumerate(offered):
+        if offer.seen is not None and len(rays):
+            usable = offer.seen.find_usable(rays, near)
+            worth[number] = np.where(usable, np.exp(-offer.seen.measure_turn(rays, near) / TURN), 0)
+    chosen: list[int] = []
+    left = np.ones(len(rays), bool)
+    while len(chosen) < MAX_PHOTOS and worth:
+        best = max(worth, key=lambda number: float(worth[number][left].sum()))
+        if ((worth[best] > 0) & left).sum() <= MIN_SHARE * len(rays):
+            break
+        chosen.append(best)
+        left &= worth.pop(best) == 0
+    return chosen
 
 
 def _take(labels: NDArray[np.int64], number: int, asked: Mask, grid: Grid, disparity: Floats, piece: Piece) -> None:

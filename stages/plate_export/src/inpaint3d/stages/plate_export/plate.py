@@ -49,8 +49,8 @@ def make_plate(
 ) -> Plate:
     """The photo of `views[index]` with its hole filled; every other pixel keeps its codes.
 
-    plates: numbers of the views whose plates photos holds, those first whose made-up surfaces count more. painting: what
-    was painted into this very view.
+    plates: numbers of the views whose plates photos holds, those first whose made-up surfaces count more. painting:
+    what was painted into this very view.
     """
     view = views[index]
     codes = photos.codes(view.name).copy()
