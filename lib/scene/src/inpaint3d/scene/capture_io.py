@@ -9,7 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
+from inpaint3d.contracts.models.artifacts import (
+    Capture,
+    CapturedFrame,
+    LensModel,
+    PosedCapture,
+    PosedFrame,
+    PosedTruth,
+    Truth,
+)
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, read_opaque, write_mask, write_png
 
@@ -156,6 +164,7 @@ def write_view(
     relative_exposure: float | None = None,
     mask: ArrayLike | None = None,
     valid: ArrayLike | None = None,
+    lens: LensModel | None = None,
 ) -> PosedFrame:
     """Write a posed view's picture (and masks, where given) under an artifact's folder; returns its record."""
     write_png(folder / "frames" / f"{name}.png", image)
@@ -173,6 +182,7 @@ def write_view(
         cx=camera.cx,
         cy=camera.cy,
         world_from_cam=camera.pose,
+        lens=lens,
         split=split,
         relative_exposure=relative_exposure,
         mask=f"masks/{name}.png" if mask is not None else None,

@@ -9,14 +9,23 @@ from inpaint3d.stages.plate_export.photo_files import Colours
 
 # Immerkaer 1996 (doi:10.1006/cviu.1996.0060): the difference of two Laplacians leaves noise, six times as strong.
 NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
-MEDIAN_OF_NORMAL = 0.6745
+MEAN_OF_NORMAL = 0.7979
+"""Mean absolute value of a standard normal variable."""
+BLOCK = 9
+"""Pixels: side of the squares over which noise is averaged."""
+SMOOTHEST = 0.2
+"""Share of the squares that count: where there is least, there is no texture in it."""
 MIN_PIXELS = 100
 
 
 def measure_grain(residual: NDArray[np.float32], where: Mask) -> float:
-    """Standard deviation of noise, by the median of what `find_grain` left [h, w] of a picture; 0 for few pixels."""
-    values = np.abs(residual[where])
-    return float(np.median(values)) / MEDIAN_OF_NORMAL if len(values) >= MIN_PIXELS else 0.0
+    """Standard deviation of noise, from what `find_grain` left [h, w] of a picture; 0 for few pixels."""
+    if where.sum() < MIN_PIXELS:
+        return 0.0
+    share = cv2.boxFilter(where.astype(np.float32), -1, (BLOCK, BLOCK))
+    mean = cv2.boxFilter(np.where(where, np.abs(residual), np.float32(0)), -1, (BLOCK, BLOCK))
+    values = (mean / np.maximum(share, 1e-6))[where]
+    return float(np.quantile(values, SMOOTHEST)) / MEAN_OF_NORMAL
 
 
 def find_grain(colours: Colours) -> NDArray[np.float32]:

@@ -32,7 +32,7 @@ MIN_SHARE = 0.01
 """Share of what photos show below which another photo is not worth its seams."""
 SAMPLES = 3000
 """Cells by which photos are ranked."""
-TURN = 0.4
+TURN = 0.2
 """Angle, radians, between two lines of sight by which a photo counts less by a factor e."""
 FEATHER = 1.2
 """Cells over which pieces fade into each other (standard deviation)."""
