@@ -142,12 +142,36 @@ def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticSc
     assert share > 0.3
 
 
-def test_of_two_paintings_of_one_place_the_first_stays(large: SyntheticScene) -> None:
+def test_of_two_paintings_of_one_place_the_nearest_counts_and_the_contradiction_is_said(large: SyntheticScene) -> None:
     views = views_of(large)
     first, second = (np.broadcast_to(np.array(c, np.float32), views[0].image.shape) for c in ((1, 0, 1), (0, 1, 0)))
     everywhere = np.ones_like(views[0].hole)
-    made, _, _, _ = complete_from_photos(
+    made, _, _, contradictions = complete_from_photos(
         views, depths_of(large), NO_CODES, THREE, seed=0,
-        paintings={views[0].name: Painting(first, everywhere), views[1].name: Painting(second, everywhere)},
+        paintings={views[0].name: Painting(first, everywhere), views[7].name: Painting(second, everywhere)},
     )  # fmt: skip
-    np.testing.assert_allclose(made[0].picture[views[0].hole].mean(0), [1, 0, 1], atol=1e-6)
+    for index, colour in ((0, (1, 0, 1)), (7, (0, 1, 0))):
+        np.testing.assert_allclose(made[index].picture[views[index].hole].mean(0), colour, atol=1e-6)
+    for index, colour in ((1, (1, 0, 1)), (6, (0, 1, 0))):
+        carried = made[index].sources == SOURCE_CODES["painted"]
+        np.testing.assert_allclose(np.median(made[index].picture[carried], 0), colour, atol=0.05)
+    (found,) = contradictions
+    assert found.names == (views[0].name, views[7].name)
+    assert found.shared > 0.2
+    assert found.difference == pytest.approx(1, abs=0.1)
+
+
+def test_what_is_copied_by_example_is_noted_to_the_pixel(large: SyntheticScene) -> None:
+    """Where nothing was evened out the picture is what the noted pixel shows; copies lie outside what they fill."""
+    views = views_of(large)
+    made, _, references, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    noted = [one for one in made if one.copies is not None]
+    assert {one.name for one in noted} == set(references)
+    for one in noted:
+        copies = one.copies
+        assert copies is not None
+        copied = (copies >= 0).all(-1)
+        assert (one.sources[copied] == SOURCE_CODES["example"]).all()
+        x, y = copies[copied].astype(int).T
+        assert not copied[y, x].any()
+        assert np.median(np.abs(one.picture[copied] - one.picture[y, x])) < 0.1
