@@ -13,8 +13,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-
 from benchmarks.plates import REPOSITORY, RESULTS, Run
+
 from inpaint3d.contracts.kit.upstream import invoke
 from inpaint3d.contracts.models.artifacts import Capture, CompletedViews, PosedCapture
 from inpaint3d.contracts.models.base import Closed, Digest
