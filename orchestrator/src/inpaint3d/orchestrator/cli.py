@@ -21,7 +21,7 @@ from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import open_store
-from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli
+from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, paint_cli
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
@@ -227,5 +227,6 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 app.add_typer(cluster_cli.emit_app, name="emit")
 app.add_typer(dev_cli.dev_app, name="dev")
+app.add_typer(paint_cli.paint_app, name="paint")
 cluster_cli.add_to(app)
 history_cli.add_to(app)

@@ -1,4 +1,4 @@
-"""What a run leaves where a person looks: `runs/NAME/` with report.html, scene.usdz, metrics.json and pictures/."""
+"""What a run leaves where a person looks: report.html, scene.usdz, metrics.json, pictures/, plates/ in `runs/NAME/`."""
 
 import json
 import shutil
@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.models.artifacts import Evaluation, UsdScene
+from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
 from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.orchestrator.times import render_times
 from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
 
@@ -33,6 +33,8 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
     if digest := outputs.get("usd-export", {}).get("usd-scene"):
         scene = store.open(digest, UsdScene)
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
+    if digest := outputs.get("plate-export", {}).get("clean-plates"):
+        _copy_plates(store.open(digest, CleanPlates), folder / "plates")
     report = make_report(record, protocols)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
     return report
@@ -82,6 +84,19 @@ def _copy_pictures(root: Path, pictures: tuple[str, ...], target: Path) -> None:
     target.mkdir()
     for picture in pictures:
         _write(target / Path(picture).name, (root / picture).read_bytes())
+
+
+def _copy_plates(plates: Artifact[CleanPlates], target: Path) -> None:
+    """The data set as other tools read it, whole or not at all."""
+    staged = target.with_name(f".{target.name}.new")
+    shutil.rmtree(staged, ignore_errors=True)
+    record = plates.metadata
+    files = [*record.model, record.transforms, *(f for p in record.plates for f in (p.picture, p.mask))]
+    for file in files:
+        (staged / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(plates.path(file), staged / file)
+    shutil.rmtree(target, ignore_errors=True)
+    staged.replace(target)
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -10,7 +10,15 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
+from inpaint3d.contracts.models.artifacts import (
+    Capture,
+    CapturedFrame,
+    LensModel,
+    PosedCapture,
+    PosedFrame,
+    PosedTruth,
+    Truth,
+)
 from inpaint3d.contracts.models.untrusted import UntrustedError, read_safetensors_header
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.finite import find_non_finite
@@ -165,6 +173,7 @@ def write_view(
     relative_exposure: float | None = None,
     mask: ArrayLike | None = None,
     valid: ArrayLike | None = None,
+    lens: LensModel | None = None,
 ) -> PosedFrame:
     """Write a posed view's picture (and masks, where given) under an artifact's folder; returns its record."""
     write_png(folder / "frames" / f"{name}.png", image)
@@ -182,6 +191,7 @@ def write_view(
         cx=camera.cx,
         cy=camera.cy,
         world_from_cam=camera.pose,
+        lens=lens,
         split=split,
         relative_exposure=relative_exposure,
         mask=f"masks/{name}.png" if mask is not None else None,

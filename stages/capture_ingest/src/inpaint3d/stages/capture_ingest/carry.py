@@ -49,7 +49,7 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
     opaque = read_opaque(frame.image) if header.channels in WITH_ALPHA else None
     if opaque is not None and opaque.all():
         opaque = None
-    target = _write_picture(frame, header, codes, opaque, folder)
+    target, original = _write_picture(frame, header, codes, opaque, folder)
     mask = None if frame.mask is None else fit_mask(frame.mask, header, hole_is_black=frame.hole_is_black)
     if mask is not None:
         write_mask(_new(folder / "masks" / f"{frame.name}.png", frame), mask)
@@ -57,6 +57,7 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
         CapturedFrame(
             name=frame.name,
             path=f"frames/{target.name}",
+            original=None if original is None else f"originals/{original.name}",
             width=width,
             height=height,
             exif=read_exif(header, width, height),
@@ -71,8 +72,11 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
 
 def _write_picture(
     frame: FoundFrame, header: Header, codes: NDArray[np.generic], opaque: Mask | None, folder: Path
-) -> Path:
-    """Byte for byte where that is an upright 8-bit sRGB file already; transparent pixels stay transparent."""
+) -> tuple[Path, Path | None]:
+    """Byte for byte where that is an upright 8-bit sRGB file already; transparent pixels stay transparent.
+
+    Where it is not, the file goes along as it is, for who needs all that it holds.
+    """
     whole = header.bits == 8 and header.orientation == 1 and header.profile is None and opaque is None
     as_it_is = header.format in KEPT_AS_THEY_ARE and whole
     suffix = ".jpg" if as_it_is and header.format == "jpeg" else ".png"
@@ -84,7 +88,11 @@ def _write_picture(
         write_png(target, codes)
     else:
         write_png(target, _fill_transparent(frame, codes if codes.dtype == np.uint8 else to_bytes(codes), opaque))
-    return target
+    original = None if as_it_is else folder / "originals" / f"{frame.name}{frame.image.suffix.lower()}"
+    if original is not None:
+        original.parent.mkdir(exist_ok=True)
+        shutil.copyfile(frame.image, original)
+    return target, original
 
 
 def _new(target: Path, frame: FoundFrame) -> Path:

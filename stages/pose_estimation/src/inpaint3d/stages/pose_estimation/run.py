@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
@@ -67,6 +68,7 @@ def write_capture(
     tests = choose_test_views(len(taken), config)
     colours = np.zeros((len(model.track_view), 3))
     track_xy = np.zeros((len(model.track_view), 2))
+    usual = describe_lens(model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))], solved)
     frames: list[PosedFrame] = []
     for view, frame in enumerate(taken):
         ctx.progress(view, len(taken), "undistorting")
@@ -81,10 +83,10 @@ def write_capture(
                 split="test" if view in tests else "train", relative_exposure=exposures[view],
                 mask=None if mask is None else lens.mask(mask),
                 valid=lens.combine_valid(read_captured_valid(capture, frame)),
+                lens=None if (own := describe_lens(lens.lens, solved)) == usual else own,
             )
         )  # fmt: skip
     write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
-    usual = model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))]
     back = solved.local_from_source.then(world.normalised_from_source).inverse()
     scale = find_scale(capture, taken, solved.model.moved(solved.local_from_source.inverse()), config, ctx)
     outputs.write(
@@ -92,9 +94,7 @@ def write_capture(
         PosedCapture(
             frames=tuple(frames),
             ordered=capture.metadata.ordered,
-            lens=LensModel(
-                model=usual.model_name, params=tuple(float(p) for p in usual.params), evidence=solved.lens_evidence
-            ),
+            lens=usual,
             registration=solved.registration,
             source_from_normalised_scale=back.scale,
             scale=None
@@ -154,6 +154,11 @@ def write_truth(
             mean_reprojection_error_px=float(np.mean([p.error_px for p in placed.values()])),
         ),
     )
+
+
+def describe_lens(lens: pycolmap.Camera, solved: Solved) -> LensModel:
+    """A lens as the artifact has it."""
+    return LensModel(model=lens.model_name, params=tuple(float(p) for p in lens.params), evidence=solved.lens_evidence)
 
 
 def choose_test_views(count: int, config: Config) -> set[int]:

@@ -51,6 +51,11 @@ class CapturedFrame(Closed):
 
     name: FrameName
     path: RelativePath = Field(description="frames/NAME.jpg or .png")
+    original: RelativePath | None = Field(
+        default=None,
+        description="originals/NAME.SUFFIX: the photo as it was given, byte for byte, where the frame is not that file "
+        "already (more bits, another profile, a turn by EXIF, alpha); None where it is, or where there was no file",
+    )
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
     exif: Exif = Exif()

@@ -8,7 +8,7 @@ from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Pos
 
 
 class LensModel(Closed):
-    """The lens effect that pose estimation decided: COLMAP model name and parameters at the captured size."""
+    """A lens as pose estimation decided it: COLMAP model name and parameters at the captured size."""
 
     model: str
     params: tuple[Finite, ...]
@@ -28,6 +28,9 @@ class PosedFrame(Closed):
     cy: Finite
     world_from_cam: Pose
     split: Literal["train", "test"] = "train"
+    lens: LensModel | None = Field(
+        default=None, description="the lens that took the captured frame, where it is not the capture's"
+    )
     relative_exposure: Positive | None = Field(
         default=None, description="EXIF exposure_s * iso / f_number^2 over the median of the capture"
     )
