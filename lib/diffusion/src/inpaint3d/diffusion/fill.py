@@ -36,7 +36,7 @@ def fill_telea(
 def _push_pull(premultiplied: Tensor, weight: Tensor) -> Tensor:
     """Colours [b, 3, h, w] from premultiplied ones and their weight in [0, 1]; full where the weight is 1."""
     solid = weight > 0
-    colour = torch.where(solid, premultiplied / torch.where(solid, weight, 1.0), 0.0)
+    colour = premultiplied / torch.where(solid, weight, 1.0)
     height, width = weight.shape[-2:]
     if height == 1 and width == 1:
         return colour

@@ -5,7 +5,7 @@ resumed draws what the unbroken one would have.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.kit.checkpoints import OPEN_SEAL, find_checkpoint, write_checkpoint
 from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
@@ -23,6 +24,7 @@ from inpaint3d.diffusion.denoiser import Image, Mask
 from inpaint3d.diffusion.parallel import average_over_ranks
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.schedules import cosine_time_of
+from inpaint3d.scene.finite import find_non_finite
 
 
 @dataclass(frozen=True)
@@ -179,11 +181,12 @@ def train_step(
         part.backward()
         loss += part.detach()
     average_over_ranks([loss, *(p.grad for p in state.prior.parameters() if p.grad is not None)])
-    norm = torch.nn.utils.clip_grad_norm_(state.prior.parameters(), clip)
+    norm = torch.nn.utils.get_total_norm([p.grad for p in state.prior.parameters() if p.grad is not None])
     state.step += 1
     if not torch.isfinite(norm):
         state.pending.append(math.nan)
         return math.nan
+    torch.nn.utils.clip_grads_with_norm_(state.prior.parameters(), clip, norm)
     state.optimiser.step()
     # Warm-up: early on the average must forget the random start faster than the final decay would.
     decay = min(ema, (1 + state.step) / (10 + state.step))
@@ -202,17 +205,29 @@ def rate_after_warm_up(peak: float, step: int, total: int, warm_up: int, final_s
 
 
 def save_checkpoint(path: Path, state: TrainingState) -> None:
-    """Everything needed to go on exactly, in one file that appears whole or not at all."""
+    """Everything needed to go on exactly, in one file that appears whole or not at all.
+
+    NonFiniteError where a weight, an average or a moment is not finite: the checkpoint that is there stays.
+    """
     tensors = {f"prior.{name}": value for name, value in state.prior.state_dict().items()}
     tensors |= {f"average.{name}": value for name, value in state.average.state_dict().items()}
     for name, parameter in state.prior.named_parameters():
         for key, value in state.optimiser.state.get(parameter, {}).items():
             tensors[f"optimiser.{key}.{name}"] = value
+    check_finite_weights(tensors, state.step)
     tensors["step"] = torch.tensor(state.step)
     tensors["curve"] = torch.tensor(state.curve, dtype=torch.float64).reshape(-1, 3)
     tensors["pending"] = torch.tensor(state.pending, dtype=torch.float64)
     written = {name: value.detach().contiguous() for name, value in tensors.items()}
     write_checkpoint(path, lambda staged: save_file(written, staged, metadata=OPEN_SEAL))
+
+
+def check_finite_weights(tensors: Mapping[str, Tensor], step: int | None = None) -> None:
+    """NonFiniteError where one of a prior's tensors is not finite."""
+    found = find_non_finite({name: t.detach().float().cpu().numpy() for name, t in tensors.items()})
+    if found:
+        after = "" if step is None else f" after step {step}"
+        raise NonFiniteError(f"the prior is not finite{after}: {', '.join(map(str, found[:5]))}")
 
 
 def load_checkpoint(path: Path, state: TrainingState) -> bool:

@@ -20,6 +20,8 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from inpaint3d.perception.threads import one_thread
+
 Network = Literal["alex", "vgg"]
 SMALLEST_SIDE = 64  # below this the deepest features of either network are a pixel or two
 
@@ -81,7 +83,7 @@ class Lpips:
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
-        Small pictures are both `enlarge`.
+        Small pictures are both `enlarge`. The same for any number of threads.
         """
         return self.distances([image], truth)[0]
 
@@ -89,8 +91,9 @@ class Lpips:
     def distances(self, images: Sequence[NDArray[np.float32]], truth: NDArray[np.float32]) -> list[float]:
         """`distance` of each picture to one truth, whose features are taken once."""
         device = self.heads[0].device
-        wanted = self.features(_batch(truth).to(device))
-        return [float(self._weigh(self.features(_batch(image).to(device)), wanted)) for image in images]
+        with one_thread():
+            wanted = self.features(_batch(truth).to(device))
+            return [float(self._weigh(self.features(_batch(image).to(device)), wanted)) for image in images]
 
 
 def safe_length(features: Tensor) -> Tensor:

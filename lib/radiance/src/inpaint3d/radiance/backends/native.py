@@ -209,7 +209,7 @@ def grid_learn(
     seen: Float[Tensor, " n"],
     memory: float,
 ) -> None:
-    """`reference.grid_learn`; a density that is not contiguous goes there, and a NaN is not seen here."""
+    """`reference.grid_learn`; a density that is not contiguous goes there."""
     if not are_supported(density, cube, seen) or not density.is_contiguous():
         reference.grid_learn(density, side, cube, seen, memory)
         return

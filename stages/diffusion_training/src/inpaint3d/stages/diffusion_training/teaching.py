@@ -1,5 +1,6 @@
 """The lesson, the training loop and the exam: the same for a capture's prior and for one of a corpus alone."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -9,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.errors import ConfigurationError, NonFiniteError
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import PriorSpec
 from inpaint3d.diffusion.judging import fill_each_way, hole_psnr
@@ -27,12 +28,15 @@ from inpaint3d.diffusion.training import (
     train_step,
 )
 from inpaint3d.perception.lpips import enlarge, load
+from inpaint3d.scene.finite import NonFinite, find_non_finite
 from inpaint3d.scene.image_io import Mask
 from inpaint3d.stages.diffusion_training.ahead import make_ahead
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.pictures import Cropper, Picture
 
 CHECKPOINT_S = 20.0
+MOST_LOST = 3
+"""Steps in a row that may be lost to numbers that are not finite."""
 EXAM_SEED = 2**31 - 1
 
 
@@ -100,7 +104,7 @@ def train(
         rate = rate_after_warm_up(peak, state.step, config.steps, config.warm_up)
         loss = train_step(state, *losses, learning_rate=rate, ema=config.ema)
         if not np.isfinite(loss):
-            ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
+            count_lost_step(state, ctx)
         if state.step % every == 0 or state.step == config.steps:
             state.close_row(_held_out_loss(state, config, lesson.exam))
             step, mean, held_out = state.curve[-1]
@@ -125,6 +129,26 @@ def draw_batches(lesson: Lesson, config: Config, seed: int, parts: Sequence[int]
 def _noise_generators(config: Config, ctx: Context, step: int) -> list[torch.Generator]:
     """What the noise of each part of a step that is this rank's is drawn from, on the device."""
     return [step_generators(ctx.seed, step, part, ctx.device)[1] for part in own_parts(config.parts)]
+
+
+def count_lost_step(state: TrainingState, ctx: Context) -> None:
+    """A step that was not finite and moved nothing: counted, told, and from the third in a row on an error.
+
+    One alone may be an overflow of bfloat16. Raises NonFiniteError, which names step and tensors.
+    """
+    ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
+    gradients = {f"gradient of {n}": p.grad for n, p in state.prior.named_parameters() if p.grad is not None}
+    weights: dict[str, Tensor] = dict(state.prior.named_parameters())
+    found = [*_find_non_finite(weights), *_find_non_finite(gradients)]
+    where = f"step {state.step} of the prior's training was not finite: {', '.join(map(str, found[:3]))}"
+    lost = next((i for i, loss in enumerate(reversed(state.pending)) if math.isfinite(loss)), len(state.pending))
+    if lost >= MOST_LOST or _find_non_finite(weights):
+        raise NonFiniteError(f"{where}; {lost} steps in a row moved nothing, the last checkpoint is kept in {ctx.work}")
+    ctx.log(f"{where}; it moved nothing")
+
+
+def _find_non_finite(tensors: dict[str, Tensor]) -> list[NonFinite]:
+    return find_non_finite({name: t.detach().float().cpu().numpy() for name, t in tensors.items()})
 
 
 def _draw_pictures(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[Picture]:

@@ -15,6 +15,8 @@ import torch.nn.functional as F
 from efficientnet_lite_pytorch import EfficientNet
 from numpy.typing import NDArray
 
+from inpaint3d.perception.threads import one_thread
+
 WIDTH = 1280
 INPUT_SIDE = 224
 _SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
@@ -38,12 +40,16 @@ def load_network(device: torch.device) -> EfficientNet:
 
 @torch.no_grad()
 def lite0_features(pictures: Sequence[NDArray[np.float32]], device: torch.device | str = "cpu") -> NDArray[np.float64]:
-    """Features [n, 1280] of pictures [h, w, 3] in [0, 1], each resized to 224x224 (bilinear, anti-aliased)."""
+    """Features [n, 1280] of pictures [h, w, 3] in [0, 1], each resized to 224x224 (bilinear, anti-aliased).
+
+    The same for any number of threads.
+    """
     mean, deviation = (torch.tensor(v, device=device).view(1, 3, 1, 1) for v in (_MEAN, _DEVIATION))
     rows: list[NDArray[np.float64]] = []
     for picture in pictures:
         x = torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None].to(device)
-        x = F.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", antialias=True)
-        found = load_network(torch.device(device)).extract_features((x - mean) / deviation)
-        rows.append(found.mean((2, 3))[0].double().cpu().numpy())
+        with one_thread():
+            x = F.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", antialias=True)
+            found = load_network(torch.device(device)).extract_features((x - mean) / deviation)
+            rows.append(found.mean((2, 3))[0].double().cpu().numpy())
     return np.stack(rows) if rows else np.empty((0, WIDTH))

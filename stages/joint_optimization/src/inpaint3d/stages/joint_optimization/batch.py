@@ -98,6 +98,10 @@ class RayBank:
             parts.append(self._patches(patches, patch_size, generator))
         return Batch(join_rays(parts), target, distance, (patches, patch_size, patch_size))
 
+    def look(self, count: int, generator: torch.Generator) -> Rays:
+        """`count` random rays of known pixels."""
+        return self._known.draw(count, generator)[0]
+
     def _share_of(self, some: Pixels | None) -> float:
         """Share of some pixels among those and the known ones."""
         return len(some) / (len(some) + len(self._known)) if some else 0.0

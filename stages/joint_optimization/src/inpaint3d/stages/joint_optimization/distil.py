@@ -8,7 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.health import find_non_finite
 from inpaint3d.radiance.losses import distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import Rendering, render
@@ -67,6 +69,8 @@ def distil(
     patch[hole] = rgb.detach()
     gradient, t = guide.gradient(patch, hole, window, timesteps, generator)
     inner = gradient[hole]
+    if found := find_non_finite({"its gradient": inner}):
+        raise NonFiniteError(f"the guide of view {view.name} answered what is not finite: {found[0]}, at t = {t:.3f}")
     return Distilled(
         # The gradient is a constant: the surrogate's derivative by the patch is exactly it.
         surrogate=(rgb * inner).sum(),

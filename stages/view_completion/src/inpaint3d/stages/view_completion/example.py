@@ -18,7 +18,7 @@ from torch import Tensor
 
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.scene.image_io import Mask
-from inpaint3d.stages.view_completion.membrane import span_membrane
+from inpaint3d.scene.membrane import span_membrane
 
 PATCH = 7
 """Side of a patch, pixels; odd."""
@@ -52,16 +52,19 @@ def fill_by_example(
     variety: float = 0.0,
     seed: int = 0,
     device: torch.device | str = "cpu",
-) -> NDArray[np.float32]:
-    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`; both [h, w] and disjoint.
+) -> tuple[NDArray[np.float32], NDArray[np.int64] | None]:
+    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`, both [h, w] and disjoint; and what
+    each pixel was copied from, as of `copy_patches`.
 
     What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
-    holds no whole patch the hole is filled by Telea's method. variety: at the coarsest level any patch may be taken
-    that is by at most this share less alike than the best; which, `seed` says. device: where patches are compared. The
-    same arguments give the same bytes on a processor; a GPU adds votes up in any order.
+    holds no whole patch the hole is filled by Telea's method, and nothing copied. variety: at the coarsest level any
+    patch may be taken that is by at most this share less alike than the best; which, `seed` says. device: where patches
+    are compared. The same arguments give the same bytes on a processor; a GPU adds votes up in any order.
     """
     made = copy_patches(image, hole, source, variety=variety, seed=seed, device=device)
-    return fill_telea(image, hole) if made is None else blend_copies(*made, hole)
+    if made is None:
+        return fill_telea(image, hole), None
+    return blend_copies(*made, hole), made[1]
 
 
 def copy_patches(
