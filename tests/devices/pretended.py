@@ -24,8 +24,9 @@ CUDA, CPU = torch.device("cuda"), torch.device("cpu")
 _pretended: dict[int, StorageWeakRef] = {}
 # Whether the function that runs was given pretended tensors: what it makes from nothing inside lies beside them.
 _beside: list[bool] = [False]
-# Operators that take tensors of two devices: moving, and looking up by indices that lie on the processor.
-_MIXING = ("aten::copy_", "aten::_to_copy", "aten::index.Tensor", "aten::index_put_", "aten::_index_put_impl_")
+# Operators that take tensors of two devices: moving, and looking up on the GPU by indices that lie on the processor.
+_MOVING = ("aten::copy_", "aten::_to_copy")
+_LOOKING_UP = ("aten::index.Tensor", "aten::index_put_", "aten::_index_put_impl_")
 
 
 def is_pretended(tensor: Tensor) -> bool:
@@ -50,7 +51,7 @@ class _Propagated(TorchDispatchMode):
         there = [t for t in given if is_pretended(t)]
         here = [t for t in given if t.ndim and not is_pretended(t)]
         name = func.name()
-        mixing = name in _MIXING
+        mixing = name in _MOVING or (name in _LOOKING_UP and is_pretended(given[0]))
         if there and here and not mixing:
             raise RuntimeError(
                 f"{name}: expected all tensors to be on the same device, but found cuda {tuple(there[0].shape)} and "

@@ -13,6 +13,9 @@ def test_tensors_of_two_devices_do_not_meet(monkeypatch: pytest.MonkeyPatch) -> 
         for meet in (lambda: here + there, lambda: torch.cat([here, there]), lambda: torch.where(here > 0, there, 0)):
             with pytest.raises(RuntimeError, match="same device"):
                 meet()
+        assert is_pretended(there[torch.arange(2)])
+        with pytest.raises(RuntimeError, match="same device"):
+            here[there.long()]
         with pytest.raises(TypeError, match="cuda"):
             there.numpy()
         torch.testing.assert_close((here.to(there) + there).cpu().numpy(), (2 * here).numpy())

@@ -200,18 +200,18 @@ def adam(
     i = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     inside = i < n
     slope = tl.load(grad + i, mask=inside, other=0.0)
-    finite = tl.abs(slope) < float("inf")
-    moves = inside & finite
-    if SPARSE:
-        moves = moves & (slope != 0.0)
-    here = tl.load(param + i, mask=moves, other=0.0)
+    wanted = inside & (slope != 0.0) if SPARSE else inside
+    here = tl.load(param + i, mask=inside, other=0.0)
     slope = slope + decay * here
-    first = tl.load(m + i, mask=moves, other=0.0)
+    first = tl.load(m + i, mask=inside, other=0.0)
     first = first + (1.0 - beta1) * (slope - first)
-    second = beta2 * tl.load(v + i, mask=moves, other=0.0) + (1.0 - beta2) * slope * slope
-    tl.store(param + i, here - step_size * first / (tl.sqrt(second * unbias) + eps), mask=moves)
+    second = beta2 * tl.load(v + i, mask=inside, other=0.0) + (1.0 - beta2) * slope * slope
+    to = here - step_size * first / (tl.sqrt(second * unbias) + eps)
+    finite = (tl.abs(second) < float("inf")) & (tl.abs(to) < float("inf"))
+    moves = wanted & finite
+    tl.store(param + i, to, mask=moves)
     tl.store(m + i, first, mask=moves)
     tl.store(v + i, second, mask=moves)
-    astray = tl.sum((inside & (finite == 0)).to(tl.int32))
+    astray = tl.sum((wanted & (finite == 0)).to(tl.int32))
     if astray > 0:
         tl.atomic_add(lost, astray)
