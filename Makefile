@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock test test-faults test-properties mutation test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint fuzz-captures clean
+.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -32,8 +32,11 @@ test: .venv/.installed ## all tests: fast ones first, the real small pipeline la
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m "not slow and not kubernetes"
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m slow
 
-test-faults: .venv/.installed ## random kills and corruptions, counted; hours [TRIALS="--kills 1000 --corruptions 500"]
+test-faults: .venv/.installed ## kills, corruptions, damaged inputs, writes that fail, counted; hours [TRIALS="--kills 1000 --corruptions 500"]
 	$(TEST_ENV) .venv/bin/python -m tests.faults.trials --out benchmarks/results/reliability.json $(TRIALS)
+	$(TEST_ENV) .venv/bin/python -m tests.faults.fuzz
+	$(TEST_ENV) .venv/bin/python -m tests.faults.write_sites
+	$(TEST_ENV) .venv/bin/python -m tests.faults.beside_gc
 
 test-properties: .venv/.installed ## properties under many more inputs, drawn anew; nightly [EXAMPLES=2000]
 	$(TEST_ENV) INPAINT3D_EXAMPLES=$(or $(EXAMPLES),2000) .venv/bin/python -m pytest -q tests/stability/test_properties.py
@@ -60,6 +63,18 @@ format: .venv/.installed ## fix what can be fixed, and format
 	.venv/bin/ruff check --fix --quiet . || true
 	.venv/bin/ruff format .
 
+# What is known against the locked packages; an environment of its own, and the network.
+AUDIT_ENV := .cache/audit-env
+$(AUDIT_ENV)/.installed: $(UV)
+	$(UV) venv --quiet --allow-existing $(AUDIT_ENV)
+	$(UV) pip install --quiet --python $(AUDIT_ENV)/bin/python pip-audit
+	@touch $@
+
+audit: $(AUDIT_ENV)/.installed ## known vulnerabilities of the locked packages, and an SBOM in .cache/sbom.json
+	$(UV) export --quiet --locked --all-packages --format cyclonedx1.5 --output-file .cache/sbom.json
+	$(UV) export --quiet --locked --all-packages --no-emit-workspace --no-hashes | grep -v "== 'never'" > .cache/requirements.txt
+	$(AUDIT_ENV)/bin/pip-audit --strict --disable-pip --no-deps --requirement .cache/requirements.txt
+
 images: .venv/.installed ## build every image with buildah, write .cache/images.yaml [BUILD="--only NAME -- OPTIONS"]
 	.venv/bin/python containers/build.py $(BUILD)
 
@@ -85,7 +100,7 @@ bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields again
 bench-radiance-quality: .venv/.installed ## radiance fields on held-out photos [SCENES="NAME=FOLDER ..."]
 	.venv/bin/python -m benchmarks.radiance.quality $(SCENES) $(BENCH_OPTIONS)
 
-bench-prior: .venv/.installed ## a prior on held-out photos against classical fills CORPUS=FOLDER [PRIOR=FOLDER]
+bench-prior: .venv/.installed ## priors on held-out photos against classical fills CORPUS=FOLDER [PRIOR="FOLDER ..."]
 	.venv/bin/python -m benchmarks.prior $(CORPUS) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
 
 bench-prior-variants: .venv/.installed ## which small prior learns most in an hour; hours CORPUS=FOLDER
@@ -97,8 +112,27 @@ bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal si
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
 
+# The peers live in environments of their own.
+PEERS := .cache/peers
+$(PEERS)/%/.installed: $(UV)
+	$(UV) venv --quiet --allow-existing $(PEERS)/$*
+	$(UV) pip install --quiet --python $(PEERS)/$*/bin/python $*
+	@touch $@
+
+bench-overhead: .venv/.installed $(PEERS)/dvc/.installed $(PEERS)/snakemake/.installed ## no-op stages against DVC and Snakemake: cost, kills, damage
+	$(TEST_ENV) .venv/bin/python -m benchmarks.overhead --dvc $(PEERS)/dvc/bin/dvc \
+	    --snakemake $(PEERS)/snakemake/bin/snakemake --out benchmarks/results/overhead.json $(BENCH_OPTIONS)
+	$(TEST_ENV) .venv/bin/python -m benchmarks.peer_faults --dvc $(PEERS)/dvc/bin/dvc \
+	    --snakemake $(PEERS)/snakemake/bin/snakemake --out benchmarks/results/peer_faults.json
+
+bench-gpu: .venv/.installed ## a GPU: correctness, rates, the prior of 128 pixels OUT=FOLDER [CORPUS="FOLDER ..."] [PRIOR=FOLDER]
+	.venv/bin/python -m benchmarks.gpu --out $(OUT) $(if $(CORPUS),--corpus $(CORPUS)) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
+
+pack-gpu: .venv/.installed ## the same as a folder for a machine without a network PHOTOS="FOLDER ..." [PRIOR=FOLDER] [SCENE=FOLDER]
+	.venv/bin/python -m benchmarks.gpu.pack $(PHOTOS) $(if $(PRIOR),--prior $(PRIOR)) $(if $(SCENE),--scene $(SCENE)) $(BENCH_OPTIONS)
+
 fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
 	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)
 
 clean: ## remove the environment and results (the store too)
-	rm -rf .venv .cache .inpaint3d runs
+	rm -rf .venv .cache .inpaint3d runs gpu-pack

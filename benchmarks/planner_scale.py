@@ -38,7 +38,7 @@ class MemoryStore(FolderStore):
         self.requests += 1
         return []
 
-    def whole(self, digest: str) -> bool:  # noqa: ARG002
+    def is_whole(self, digest: str) -> bool:  # noqa: ARG002
         self.requests += 2  # a bucket's manifest and listing
         return True
 

@@ -1,14 +1,19 @@
 import json
+import os
+import time
 
 import pytest
 
 from inpaint3d.contracts.errors import ArtifactError, RetryableError
+from inpaint3d.contracts.kit.code import code_path, save_listing
 from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.store import FolderStore, Record, key_path, this_process
+from inpaint3d.contracts.store.owner import Owner
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.housekeeping import collect, find_damage
+from inpaint3d.orchestrator.provenance import find_unproved
 
 COMPONENTS = {"seed": 1}
 KEY = digest_of(COMPONENTS)
@@ -187,3 +192,108 @@ def test_checkpoints_that_another_machine_may_be_at_work_on_stay(tmp_path):
     collect(store, keep=1, dry_run=False)
     assert not mine.exists()
     assert theirs.is_dir()
+
+
+def proved(store):
+    """A run of two nodes, the second of which reads what the first has written, and its record."""
+    folder = store.private_folder()
+    (folder / "photo.txt").write_text("photo")
+    photo = store.put(folder, "source", Source(name="photo", kind="folder"))
+    nodes, given = [], photo
+    for i in range(2):
+        folder = store.private_folder()
+        (folder / "a.txt").write_text(str(i))
+        digest = store.put(folder, "source", Source(name=str(i), kind="folder"))
+        code = save_listing(store, {"python": "3", "file": str(i)})
+        components = {"seed": i, "inputs": {"x": given}, "code": code}
+        key = digest_of(components)
+        store.commit(
+            Record(key=key, stage="s@1", components=components, outputs={"y": digest}, provenance={}, timings={})
+        )
+        nodes.append(
+            NodeRun(node=f"n{i}", status="done", reason="", key=key, components=components, outputs={"y": digest})
+        )
+        given = digest
+    return RunRecord(
+        id="000001-a", name="a", pipeline="p", preset=None, externals={"capture": photo}, status="done", started="now",
+        machine=Machine(processor="p", cores=1, memory_bytes=1, python="3"), nodes=tuple(nodes),
+    )  # fmt: skip
+
+
+def test_a_run_is_proved_back_to_its_photos(tmp_path):
+    store = FolderStore(tmp_path)
+    assert list(find_unproved(store, proved(store))) == []
+
+
+def _change(path, old, new):
+    path.chmod(0o644)
+    path.write_text(path.read_text().replace(old, new))
+
+
+def _swap_keys(store, record):
+    first, second = (store.root / key_path(n.key) for n in record.nodes)
+    data = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("tamper", "says"),
+    [
+        (
+            lambda s, r: _change(s.object_path(r.externals["capture"]) / "photo.txt", "photo", "phoxo"),
+            "external capture",
+        ),
+        (lambda s, r: _change(s.object_path(r.nodes[1].outputs["y"]) / "a.txt", "1", "2"), "n1: its y"),
+        (lambda s, r: _change(s.root / key_path(r.nodes[0].key), '"seed":0', '"seed":7'), "n0: its key record"),
+        (_swap_keys, "n0: its key record"),
+        (lambda s, r: (s.root / key_path(r.nodes[1].key)).unlink(), "n1: its key record"),
+        (
+            lambda s, r: _change(s.root / code_path(r.nodes[0].components["code"]), "3", "4"),
+            "n0: the listing of its code",
+        ),
+    ],
+)
+def test_what_was_tampered_with_is_named(tmp_path, tamper, says):
+    store = FolderStore(tmp_path)
+    record = proved(store)
+    tamper(store, record)
+    assert any(found.startswith(says) for found in find_unproved(store, record))
+
+
+def test_a_record_that_was_changed_is_unproved(tmp_path):
+    store = FolderStore(tmp_path)
+    record = proved(store)
+    one, two = record.nodes
+    other = record.model_copy(update={"nodes": (one.model_copy(update={"outputs": two.outputs}), two)})
+    assert any("names other results" in found for found in find_unproved(store, other))
+    without = record.model_copy(update={"nodes": (two,)})
+    assert any("nothing that this run made" in found for found in find_unproved(store, without))
+    moved = one.model_copy(update={"components": {**one.components, "seed": 9}})
+    assert any("does not follow" in f for f in find_unproved(store, record.model_copy(update={"nodes": (moved, two)})))
+
+
+def test_what_another_machine_left_is_swept_after_its_lease(tmp_path):
+    store = FolderStore(tmp_path)
+    theirs = Owner("othehost", "boot", "space", 1)
+    for path in (store.root / "tmp" / f"{theirs}-a", store.work_folder(KEY)):
+        path.mkdir(exist_ok=True)
+        (path / "part").write_text("a")
+    store.work_folder(KEY).with_suffix(".owner").write_text(str(theirs))
+
+    def age(days):
+        then = time.time() - days * 24 * 3600
+        for path in store.root.rglob("*"):
+            os.utime(path, (then, then))
+
+    age(6)
+    store.sweep_tmp()
+    assert [*(store.root / "tmp").iterdir()] != []
+    assert store.list_litter() == []
+    age(8)
+    store.sweep_tmp()
+    assert [*(store.root / "tmp").iterdir()] == []
+    assert [p.name for p in store.list_litter()] == [
+        store.work_folder(KEY).name,
+        f"{store.work_folder(KEY).name}.owner",
+    ]

@@ -10,13 +10,9 @@ any of this failed once.
 
 import argparse
 import collections
-import contextlib
 import json
-import os
 import random
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -31,7 +27,7 @@ from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.housekeeping import collect, find_damage
-from tests.conftest import Cli
+from tests.faults.kills import try_kill
 
 RESULTS = 4
 Counts = collections.Counter[str]
@@ -151,43 +147,11 @@ def try_checkpoint(folder: Path, rng: random.Random) -> str | None:
     return None if harmless or found.read_bytes().endswith(b"1" * 100) else f"checkpoint {how}: gone on from damage"
 
 
-def try_kill(cli: Cli, capture: Path, rng: random.Random) -> tuple[str, str | None]:
-    """Kill a run, or part of it, at a random moment, and run again: whom, and what went wrong, if anything did."""
-    whom = rng.choice(["runner", "stage", "group"])
-    arguments = cli.command(
-        "run", str(capture), "--stub", "--until", "pose-estimation", "--seed", str(rng.randrange(10**6))
-    )
-    process = subprocess.Popen(
-        arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=cli.environment(), start_new_session=True
-    )
-    time.sleep(rng.uniform(0.3, 6.0))
-    victims = find_children(process.pid) if whom == "stage" else [process.pid]
-    if process.poll() is not None or not victims:
-        whom = "nobody: it had ended, or no stage was at work"
-    else:
-        for pid in victims:
-            with contextlib.suppress(ProcessLookupError):
-                (os.killpg if whom == "group" else os.kill)(pid, signal.SIGKILL)
-    process.wait()
-    again = subprocess.run(arguments, capture_output=True, text=True, check=False, env=cli.environment())
-    if again.returncode != 0:
-        return whom, f"exit {again.returncode} after a kill of the {whom}: {again.stderr[-300:]}"
-    store = FolderStore(Path(cli.store))
-    if damage := list(find_damage(store)):
-        return whom, f"partly there after a kill of the {whom}: {damage[0].what}"
-    if "running" in {r.status for r in History(store).of(capture.name)}:
-        return whom, f"a record stayed running after a kill of the {whom}"
-    return whom, None
-
-
-def find_children(pid: int) -> list[int]:
-    """The processes that one has started."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children")
-    return [int(child) for child in listed.read_text().split()] if listed.exists() else []
-
-
-def carry_out(kills: int, corruptions: int, seed: int, folder: Path) -> tuple[Counts, list[str]]:
-    """All trials: how many of each kind, and what went wrong."""
+def carry_out(
+    kills: int, corruptions: int, seed: int, folder: Path, minutes: float = float("inf")
+) -> tuple[Counts, list[str]]:
+    """All trials, or as many as there is time for: how many of each kind, and what went wrong."""
+    end = time.monotonic() + 60 * minutes
     rng, counts, faults = random.Random(seed), Counts(), list[str]()
 
     def count(kind: str, fault: str | None) -> None:
@@ -203,13 +167,14 @@ def carry_out(kills: int, corruptions: int, seed: int, folder: Path) -> tuple[Co
             kind, fault = try_corruption(place, rng)
             count(f"corrupted {kind}", fault)
         shutil.rmtree(place)
-    capture = folder / "tiny"
-    capture.mkdir()
-    (capture / "note.txt").write_text("stubs do not look")
-    cli = Cli(folder)
-    for _ in range(kills):
-        whom, fault = try_kill(cli, capture, rng)
+    for i in range(kills):
+        if time.monotonic() > end:
+            break
+        place = folder / f"run-{i}"
+        place.mkdir()
+        whom, fault = try_kill(place, rng)
         count(f"killed {whom}", fault)
+        shutil.rmtree(place)
     return counts, faults
 
 
@@ -218,10 +183,11 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--corruptions", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="no kill is begun later")
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder))
+        counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder), given.minutes)
     figures = {"seed": given.seed, "trials": dict(sorted(counts.items())), "failed": len(faults), "faults": faults}
     text = json.dumps(figures, indent=2) + "\n"
     sys.stdout.write(text)

@@ -5,7 +5,8 @@ from typing import Any
 
 from inpaint3d.contracts.models.cluster import ClusterSpec, Image, Scene, Submission
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.orchestrator.emit.argo import RECORDER, dump, emit
+from inpaint3d.orchestrator.emit.argo import RECORDER, emit
+from inpaint3d.orchestrator.emit.documents import dump
 
 HERE = Path(__file__).parent
 TOY = Pipeline(HERE / "toy" / "pipeline.yaml")

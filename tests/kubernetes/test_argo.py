@@ -10,8 +10,10 @@ import yaml
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.configure import configure_submission
-from inpaint3d.orchestrator.emit.argo import LEFT_OUT, RETRY, check_types, dump, emit
+from inpaint3d.orchestrator.emit.argo import LEFT_OUT, emit
 from inpaint3d.orchestrator.emit.check import check
+from inpaint3d.orchestrator.emit.documents import check_types, dump
+from inpaint3d.orchestrator.emit.pods import RETRY
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import HERE, TOY, cluster, golden, submission
 from tests.kubernetes.simulator import Pod, evaluate
@@ -36,16 +38,29 @@ def test_the_whole_pipeline_passes_every_layer(preset):
     documents = emit(PIPELINE, cluster(), asked)
     assert check(documents, PIPELINE) == []
     assert list(yaml.safe_load_all(dump(documents))) == documents
-    template = documents[0]["spec"]["templates"]
+    template = template_of(documents)["spec"]["templates"]
     configured = configure_submission(PIPELINE, asked)
     assert {t["name"] for t in template} == {"scenes", "scene", "await-mask", "record", *configured.pipeline.order}
-    assert json.loads(documents[0]["metadata"]["annotations"][LEFT_OUT]) == configured.left_out != {}
+    assert json.loads(template_of(documents)["metadata"]["annotations"][LEFT_OUT]) == configured.left_out != {}
+
+
+def test_paintings_are_awaited_once_before_the_first_node_that_reads_them():
+    asked = submission(PIPELINE, awaitPaintings=True, want=("plate-export",))
+    documents = emit(PIPELINE, cluster(), asked)
+    assert check(documents, PIPELINE) == []
+    (scene,) = [t for t in documents[0]["spec"]["templates"] if t["name"] == "scene"]
+    tasks = {task["name"]: task for task in scene["dag"]["tasks"]}
+    upstream = configure_submission(PIPELINE, asked).pipeline.upstream("view-completion")
+    assert set(tasks["await-painting"]["dependencies"]) == upstream
+    for node in ("view-completion", "plate-export"):
+        assert "await-painting" in tasks[node]["dependencies"]
+        values = {p["name"]: p["value"] for p in tasks[node]["arguments"]["parameters"]}
+        assert values["painted-views"] == "{{tasks.await-painting.outputs.parameters.painted-views}}"
 
 
 def test_a_node_of_a_preset_alone_has_its_seed():
-    (template, *_) = emit(
-        PIPELINE, cluster(), submission(PIPELINE, preset="creative", seed=10, overrides={"evaluation": {"seed": 4}})
-    )
+    asked = submission(PIPELINE, preset="creative", seed=10, overrides={"evaluation": {"seed": 4}})
+    template = template_of(emit(PIPELINE, cluster(), asked))
     seeds = {}
     for stage in template["spec"]["templates"]:
         for artifact in stage.get("inputs", {}).get("artifacts", []):
@@ -57,7 +72,23 @@ def test_a_node_of_a_preset_alone_has_its_seed():
 
 
 def test_hera_gives_back_what_was_emitted(emitted):
-    assert [check_types(copy.deepcopy(d)) for d in emitted] == emitted
+    typed = [d for d in emitted if d["kind"].startswith("Workflow")]
+    assert [check_types(copy.deepcopy(d)) for d in typed] == typed
+    assert [d["kind"] for d in emitted if d not in typed] == ["ServiceAccount", "Role", "RoleBinding"]
+
+
+def test_an_account_that_is_there_is_named_and_not_written():
+    documents = emit(TOY, cluster(createServiceAccount=False, serviceAccountName="robot"), submission(TOY))
+    assert [d["kind"] for d in documents] == ["WorkflowTemplate", "Workflow"]
+    assert documents[0]["spec"]["serviceAccountName"] == "robot"
+    assert check(documents, TOY) == []
+
+
+@pytest.mark.parametrize(("largest", "asked"), [("1500m", "1500m"), ("1", "1"), ("8", "2")])
+def test_no_pod_asks_for_more_than_a_small_node_has(largest, asked):
+    documents = emit(PIPELINE, cluster(largestCpuRequest=largest), submission(PIPELINE))
+    resources = _container(documents, "pose-estimation")["resources"]
+    assert (resources["requests"]["cpu"], resources["limits"]["cpu"]) == (asked, "2")
 
 
 def test_names_that_yaml_would_read_as_booleans_are_quoted():
@@ -68,7 +99,7 @@ def test_names_that_yaml_would_read_as_booleans_are_quoted():
 
 
 def test_many_scenes_become_workflows_of_a_few():
-    _, *workflows = emit(TOY, cluster(scenesPerWorkflow=1), submission(TOY))
+    workflows = [d for d in emit(TOY, cluster(scenesPerWorkflow=1), submission(TOY)) if d["kind"] == "Workflow"]
     assert [w["metadata"]["name"] for w in workflows] == ["test-0000", "test-0001"]
     (value,) = [p["value"] for p in workflows[1]["spec"]["arguments"]["parameters"]]
     assert [s["name"] for s in json.loads(value)] == ["n"]
@@ -90,8 +121,19 @@ def test_only_lost_pods_and_retryable_exits_are_tried_again(phase, code, again):
     assert evaluate(RETRY, Pod("", phase, code, "")) is again
 
 
+def template_of(documents):
+    return next(d for d in documents if d["kind"] == "WorkflowTemplate")
+
+
+def _patch_pods(documents, kind, **security):
+    spec = template_of(documents)["spec"]
+    patch = json.loads(spec["podSpecPatch"])
+    patch[kind][0]["securityContext"].update(security)
+    spec["podSpecPatch"] = json.dumps(patch)
+
+
 def _template(documents, name):
-    return next(t for t in documents[0]["spec"]["templates"] if t["name"] == name)
+    return next(t for t in template_of(documents)["spec"]["templates"] if t["name"] == name)
 
 
 def _task(documents, name):
@@ -100,7 +142,7 @@ def _task(documents, name):
 
 def _replace(documents, name, old, new):
     """Replace in a template's text."""
-    templates = documents[0]["spec"]["templates"]
+    templates = template_of(documents)["spec"]["templates"]
     i = next(i for i, t in enumerate(templates) if t["name"] == name)
     text = json.dumps(templates[i])
     assert old in text
@@ -120,7 +162,7 @@ def _container(documents, name):
 
 
 def _scenes(documents, value):
-    documents[1]["spec"]["arguments"]["parameters"][0]["value"] = value
+    documents[-1]["spec"]["arguments"]["parameters"][0]["value"] = value
 
 
 TRUTH, FED = "outputs.parameters.truth", '\\"capture\\": \\"{{inputs.parameters.capture}}\\", '
@@ -129,9 +171,9 @@ KEY = {"name": "AWS_SECRET_ACCESS_KEY", "value": "x"}
 MUTATIONS = {
     "types": {
         "a typo in a field": lambda d: _container(d, "a").update(comand=["x"]),
-        "a field of the wrong type": lambda d: d[0]["spec"].update(parallelism="many"),
+        "a field of the wrong type": lambda d: template_of(d)["spec"].update(parallelism="many"),
         "a list where Argo wants text": lambda d: _task(d, "a").update(template=["a"]),
-        "an unknown kind": lambda d: d[1].update(kind="Workflo"),
+        "an unknown kind": lambda d: d[-1].update(kind="Workflo"),
     },
     "references": {
         "a task of no template": lambda d: _task(d, "a").update(template="b"),
@@ -141,9 +183,9 @@ MUTATIONS = {
         "reading without waiting": lambda d: _task(d, "score").update(dependencies=["a"]),
         "waiting for no task": lambda d: _task(d, "score").update(dependencies=["a", "n", "m"]),
         "an argument left out": lambda d: _drop(_arguments(d, "a"), "capture"),
-        "an entrypoint that is not there": lambda d: d[0]["spec"].update(entrypoint="main"),
-        "a volume that is not there": lambda d: _drop(d[0]["spec"]["volumes"], "tmp"),
-        "another WorkflowTemplate": lambda d: d[1]["spec"]["workflowTemplateRef"].update(name="tset"),
+        "an entrypoint that is not there": lambda d: template_of(d)["spec"].update(entrypoint="main"),
+        "a volume that is not there": lambda d: _drop(template_of(d)["spec"]["volumes"], "tmp"),
+        "another WorkflowTemplate": lambda d: d[-1]["spec"]["workflowTemplateRef"].update(name="tset"),
         "a scene without its capture": lambda d: _scenes(d, '[{"name": "a"}]'),
     },
     "contracts": {
@@ -163,6 +205,19 @@ MUTATIONS = {
         "an image that is not pinned": lambda d: _replace(d, "a", PINNED, "latest"),
         "no memory limit": lambda d: _container(d, "a")["resources"]["limits"].pop("memory"),
         "no deadline": lambda d: _template(d, "a").pop("activeDeadlineSeconds"),
+        "a deadline of all tries": lambda d: _template(d, "a")["retryStrategy"]["backoff"].update(maxDuration="10m"),
+        "no request for a quota": lambda d: _container(d, "a")["resources"]["requests"].pop("cpu"),
+        "added capabilities": lambda d: _container(d, "a")["securityContext"]["capabilities"].update(add=["NET_RAW"]),
+        "root by number": lambda d: _container(d, "a")["securityContext"].update(runAsUser=0),
+        "Argo's containers as they come": lambda d: template_of(d)["spec"].pop("podSpecPatch"),
+        "Argo's init as root": lambda d: _patch_pods(d, "initContainers", runAsNonRoot=False),
+        "Argo's wait without seccomp": lambda d: _patch_pods(d, "containers", seccompProfile={}),
+        "a role without rights": lambda d: d[1].update(rules=[]),
+        "a role for another": lambda d: d[2]["subjects"][0].update(name="other"),
+        "no account": lambda d: template_of(d)["spec"].pop("serviceAccountName"),
+        "another account": lambda d: d[0]["metadata"].update(name="other"),
+        "Workflows that stay": lambda d: template_of(d)["spec"].pop("ttlStrategy"),
+        "pods that stay": lambda d: template_of(d)["spec"].pop("podGC"),
     },
 }
 

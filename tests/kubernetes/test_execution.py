@@ -1,5 +1,6 @@
 """The emitted manifests do what the pipeline says: executed with processes for pods, against a bucket."""
 
+import datetime
 import os
 
 import pytest
@@ -8,13 +9,16 @@ from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.models.cluster import Scene
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store.bucket import BucketStore
-from inpaint3d.orchestrator.cluster import prepare, supply_mask
+from inpaint3d.orchestrator.cluster import prepare, supply
 from inpaint3d.orchestrator.configure import configure_submission
 from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.intake import MASK_REQUEST
+from inpaint3d.orchestrator.workflows import list_rows, supply_patch
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import cluster, submission
-from tests.kubernetes.simulator import Argo
+from tests.kubernetes.simulator import Argo, StageFailedError
 
+NOW = datetime.datetime.now(datetime.UTC)
 MASK = "mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}"
 
 
@@ -46,14 +50,15 @@ def environment_of(pipeline):
 
 
 def started(store, pipeline, tmp_path, **options):
-    asked = submission(pipeline, stub=True, **options)
+    asked = submission(pipeline, **{"stub": True, **options})
     where = cluster(endpoint=os.environ["AWS_ENDPOINT_URL"]).model_copy()
     where = where.model_copy(update={"spec": where.spec.model_copy(update={"store": store.place})})
-    template, workflow = prepare(store, pipeline, where, asked)
-    return Argo(template, tmp_path / "pods", environment_of(pipeline)), workflow
+    *documents, workflow = prepare(store, pipeline, where, asked, replace=True)
+    return Argo(documents, tmp_path / "pods", environment_of(pipeline)), workflow
 
 
-def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path):
+@pytest.mark.parametrize("compress_from", [400, 1])
+def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path, compress_from):
     pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
     scene = Scene(name="kitchen", externals={"capture": capture(store, "kitchen")})
     configured = configure_submission(pipeline, submission(pipeline, scenes=(scene,), awaitMasks=True))
@@ -62,11 +67,14 @@ def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path):
     (tmp_path / "mask.yaml").write_text(MASK)
     asked = []
 
-    def person(where):
+    def person(argo, where):
         asked.append(where)
-        return {"mask-request": supply_mask(store, "test", "kitchen", tmp_path / "mask.yaml")}
+        digest = supply(store, "test", "kitchen", MASK_REQUEST, tmp_path / "mask.yaml")
+        assert supply_patch(argo.workflow, "hall", MASK_REQUEST, digest, NOW) is None, "another scene's"
+        argo.patch(supply_patch(argo.workflow, "kitchen", MASK_REQUEST, digest, NOW))
+        assert supply_patch(argo.workflow, "kitchen", MASK_REQUEST, digest, NOW) is None, "it waits no more"
 
-    argo.supply = person
+    argo.supply, argo.compress_from = person, compress_from
     argo.loses = lambda where, attempt: where.endswith(".nerf-pretraining") and attempt == 0
     assert argo.run(workflow) == "Succeeded", [p for p in argo.pods if p.phase != "Succeeded"]
     assert len(asked) == 1
@@ -78,6 +86,11 @@ def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path):
     assert run.status == "done"
     assert {n.node for n in run.nodes if n.outputs} == set(order)
     assert {n.node: n.reason for n in run.nodes if n.status == "left-out"} == configured.left_out != {}
+    rows = {row.stage: row for row in list_rows(argo.workflow, NOW)}
+    assert set(rows) == {*order, "await-mask", "record"}
+    assert {row.scene for row in rows.values()} == {"kitchen", ""}
+    assert (rows["nerf-pretraining"].phase, rows["nerf-pretraining"].tries) == ("Succeeded", 2)
+    assert rows["usd-export"].seconds >= 0
 
 
 def test_scenes_fan_out_and_one_that_fails_stops_no_other(store, tmp_path):
@@ -91,10 +104,13 @@ def test_scenes_fan_out_and_one_that_fails_stops_no_other(store, tmp_path):
     good = Scene(name="good", externals={"capture": capture(store, "good")})
     bad = Scene(name="n", externals={"capture": capture(store, "n")})
     argo, workflow = started(store, pipeline, tmp_path, scenes=(bad, good), preset=None)
-    argo.loses = lambda where, attempt: "scene(0:n).capture-ingest" in where
+    argo.loses = lambda where, attempt: ",name:n," in where and where.endswith(".capture-ingest")
     assert argo.run(workflow) == "Failed"
-    lost = [p.where.split(".")[1:] for p in argo.pods if p.phase != "Succeeded"]
-    assert lost == [["scene(0:n)", "capture-ingest"]] * 4, "one try, three more, and nothing behind it"
+    lost = [p.where for p in argo.pods if p.phase != "Succeeded"]
+    assert len(lost) == 4, "one try, three more, and nothing behind it"
+    item = {"name": "n", **dict.fromkeys(pipeline.spec.spec.externals, ""), **bad.externals}
+    said = ",".join(f"{key}:{item[key]}" for key in sorted(item))
+    assert set(lost) == {f"test-0000.scene(0:{said}).capture-ingest"}, "as the real one names them"
     assert History(store).latest("good").status == "done"
     assert {n.node: n.status for n in History(store).latest("n").nodes} == {
         "capture-ingest": "pending", "pose-estimation": "pending",
@@ -103,3 +119,35 @@ def test_scenes_fan_out_and_one_that_fails_stops_no_other(store, tmp_path):
     again, workflow = started(store, pipeline, tmp_path / "again", scenes=(good,), preset=None)
     assert again.run(workflow) == "Succeeded"
     assert {r.key for r in store.records()} == before
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda d: d.pop(0) and d.pop(0), "may not report to Argo"),
+        (lambda d: d[-1]["spec"].pop("podSpecPatch"), "init: runAsNonRoot is not True"),
+        (
+            lambda d: d[-1]["spec"].update(podSpecPatch=d[-1]["spec"]["podSpecPatch"].replace("limits", "x")),
+            "quota asks",
+        ),
+    ],
+)
+def test_a_strict_namespace_lets_no_pod_in_that_is_not_as_emitted(store, tmp_path, change, says):
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
+    scene = Scene(name="kitchen", externals={"capture": capture(store, "kitchen")})
+    argo, workflow = started(store, pipeline, tmp_path, scenes=(scene,))
+    change(argo.documents)
+    with pytest.raises(StageFailedError):  # the exit handler's pod is refused as well
+        argo.run(workflow)
+    assert says in argo.pods[0].message
+    assert {pod.phase for pod in argo.pods} == {"Error"}
+
+
+def test_a_failed_pod_says_why(store, tmp_path):
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
+    scene = Scene(name="kitchen", externals={"capture": "sha256:" + "0" * 64})
+    argo, workflow = started(store, pipeline, tmp_path, scenes=(scene,), stub=False)
+    assert argo.run(workflow) == "Failed"
+    (row,) = [row for row in list_rows(argo.workflow, NOW) if row.stage == "capture-ingest"]
+    assert row.phase == "Failed"
+    assert "Error (exit code 3): bad artifact: artifact sha256:000" in row.message

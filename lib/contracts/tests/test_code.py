@@ -130,7 +130,7 @@ def test_a_distribution_that_is_not_here_is_a_clear_error():
 
 def test_versions_and_requirements_are_those_that_python_knows():
     metadata = importlib.metadata
-    found = code._find_requirements("inpaint3d-scene")
+    found = code.find_requirements("inpaint3d-scene")
     assert len(found) > 3
     for name in found:
         assert code._read_metadata(name) == (metadata.version(name), tuple(metadata.requires(name) or ()))

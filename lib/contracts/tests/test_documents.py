@@ -2,7 +2,7 @@ import pytest
 import yaml
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.models import documents
+from inpaint3d.contracts.models import untrusted
 from inpaint3d.contracts.models.artifacts import MaskRequest
 from inpaint3d.contracts.models.documents import load_document, load_yaml
 
@@ -47,6 +47,6 @@ def test_missing_file_is_named(tmp_path):
 def test_both_parsers_read_the_same_with_the_same_lines(tmp_path, monkeypatch):
     path = write(tmp_path, "# a comment\na:\n  - &one {b: 1.5, c: yes}\n  - *one\nd: |\n  two\n  lines\n")
     fast = load_yaml(path)
-    monkeypatch.setattr(documents, "LOADER", yaml.SafeLoader)
+    monkeypatch.setattr(untrusted, "LOADER", yaml.SafeLoader)
     assert load_yaml(path) == fast
     assert fast[0] == {"a": [{"b": 1.5, "c": True}] * 2, "d": "two\nlines\n"}

@@ -1,27 +1,29 @@
 """The commands that have to do with a cluster."""
 
+import datetime
 import json
 import sys
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
-from rich.console import Console
-from rich.table import Table
 
-from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, WaitingError
 from inpaint3d.contracts.models.cluster import ClusterSpec, ImagesSpec, Scene, Submission
-from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.documents import load_document, read_document
 from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.untrusted import UntrustedError, parse_yaml_documents
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster as clusters
-from inpaint3d.orchestrator.emit.argo import dump
+from inpaint3d.orchestrator.emit.argo import AWAIT
 from inpaint3d.orchestrator.emit.check import check
-from inpaint3d.orchestrator.intake import list_scenes, name_run
+from inpaint3d.orchestrator.emit.documents import dump
+from inpaint3d.orchestrator.intake import MASK_REQUEST, PAINTED, list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     IMAGES,
     STORE,
+    AcceptDoubtful,
     Capture,
     Images,
     PipelinePath,
@@ -34,6 +36,8 @@ from inpaint3d.orchestrator.options import (
 )
 from inpaint3d.orchestrator.plan import Selection, find_pipeline
 from inpaint3d.orchestrator.request import ConfiguredRequest
+from inpaint3d.orchestrator.tables import print_table, printable
+from inpaint3d.orchestrator.workflows import Row, is_over, list_rows
 
 emit_app = typer.Typer(no_args_is_help=True, help="Manifests for a cluster, and what is wrong with some.")
 
@@ -41,15 +45,20 @@ Cluster = Annotated[Path, typer.Option("--cluster", envvar="INPAINT3D_CLUSTER", 
 AwaitMasks = Annotated[
     bool, typer.Option("--await-masks", help="wait before mask-authoring for somebody to author one")
 ]
+AwaitPaintings = Annotated[
+    bool, typer.Option("--await-paintings", help="wait before view-completion for somebody to paint views")
+]
 SubmissionName = Annotated[str | None, typer.Option("--name", help="default: the capture's folder name")]
 CLUSTER = Path("cluster.yaml")
+WATCH_S = 10.0
 
 
 def add_to(app: typer.Typer) -> None:
     """Make the commands part of `inpaint3d`."""
     for command in (submit, status, logs, rerun, record):
         app.command()(command)
-    app.command(name="take-mask")(take_mask)
+    app.command(name="give-mask")(give_mask)
+    app.command(name="give-painting")(give_painting)
 
 
 def _cluster(path: Path) -> ClusterSpec:
@@ -64,8 +73,11 @@ def argo(
     name: SubmissionName = None,
     scene: Scenes = None,
     await_masks: AwaitMasks = False,
+    await_paintings: AwaitPaintings = False,
+    accept_doubtful: AcceptDoubtful = False,
     cluster: Cluster = CLUSTER,
     images: Images = IMAGES,
+    replace: Annotated[bool, typer.Option("--replace", help="what was emitted under the name before")] = False,
 ) -> None:
     """Write a WorkflowTemplate and Workflows for Argo to standard output, for `submit`; captures go to the store."""
     where, configured = _cluster(cluster), ConfiguredRequest(request, Selection())
@@ -79,11 +91,14 @@ def argo(
         seed=request.seed,
         device=request.device,
         stub=request.stub,
+        want=tuple(request.want or ()),
         awaitMasks=await_masks,
+        awaitPaintings=await_paintings,
+        acceptDoubtful=accept_doubtful,
         images=load_document(images, ImagesSpec)[0].spec,
         scenes=tuple(Scene(name=n, externals=configured.take_externals(store, p)) for p, n in scenes),
     )
-    sys.stdout.write(dump(clusters.prepare(store, configured.whole, where, submission)))
+    sys.stdout.write(dump(clusters.prepare(store, configured.whole, where, submission, replace=replace)))
 
 
 @emit_app.command(name="check")
@@ -94,9 +109,9 @@ def check_file(manifest: Path, pipeline: PipelinePath = None) -> None:
 
 def _documents(manifest: Path) -> list[Any]:
     try:
-        return list(yaml.safe_load_all(manifest.read_text()))
-    except (OSError, yaml.YAMLError) as error:
-        raise ConfigurationError(f"cannot read {manifest}: {error}; give what `inpaint3d emit argo` wrote") from error
+        return parse_yaml_documents(read_document(manifest))
+    except UntrustedError as error:
+        raise ConfigurationError(f"{manifest}: {error}; give what `inpaint3d emit argo` wrote") from error
 
 
 def _conclude(findings: list[str]) -> None:
@@ -110,16 +125,38 @@ def submit(manifest: Path, cluster: Cluster = CLUSTER, pipeline: PipelinePath = 
     """Give what `emit argo` wrote to the cluster that kubectl is pointed at; what the store has is not run again."""
     documents = _documents(manifest)
     _conclude(check(documents, Pipeline(find_pipeline(pipeline))))
-    for workflow in clusters.submit(_cluster(cluster), documents):
-        sys.stdout.write(workflow + "\n")
+    _say_each(clusters.submit(_cluster(cluster), documents))
 
 
-def status(name: str, cluster: Cluster = CLUSTER) -> None:
-    """Say where every pod of a submission stands."""
-    table = Table("where", "phase", "message", box=None)
-    for row in clusters.status(_cluster(cluster), name):
-        table.add_row(*row)
-    Console().print(table)
+def status(
+    name: str,
+    cluster: Cluster = CLUSTER,
+    watch: Annotated[bool, typer.Option("--watch", help="again and again, until all is over")] = False,
+) -> None:
+    """Say where each stage of each scene of a submission stands.
+
+    Exit codes: 0 all is well so far; 3 something failed; 4 something waits for a mask, or an image that is not there.
+    """
+    while True:
+        workflows = clusters.list_workflows(_cluster(cluster), name)
+        now = datetime.datetime.now(datetime.UTC)
+        rows = [row for workflow in workflows for row in list_rows(workflow, now)]
+        print_table(("scene", "stage", "phase", "seconds", "tries", "message"), map(_cells, rows), wrapped=("message",))
+        for workflow in workflows:
+            sys.stdout.write(printable(f"{workflow['metadata']['name']}: {clusters.phase_of(workflow)}\n"))
+        if not watch or all(map(is_over, workflows)):
+            break
+        time.sleep(WATCH_S)
+    phases = {row.phase for row in rows} | {clusters.phase_of(workflow) for workflow in workflows}
+    if phases & {"Failed", "Error"}:
+        raise typer.Exit(BadInputError.exit_code)
+    if "NoImage" in phases or any(row.stage in AWAIT.values() and row.phase == "Running" for row in rows):
+        raise typer.Exit(WaitingError.exit_code)
+
+
+def _cells(row: Row) -> list[str]:
+    seconds = "" if row.seconds is None else f"{row.seconds:.0f}"
+    return [row.scene, row.stage, row.phase, seconds, str(row.tries), row.message]
 
 
 def logs(
@@ -128,7 +165,8 @@ def logs(
     cluster: Cluster = CLUSTER,
 ) -> None:
     """Print what the pods of a submission said."""
-    sys.stdout.write(clusters.logs(_cluster(cluster), name, stage))
+    for line in clusters.logs(_cluster(cluster), name, stage):
+        sys.stdout.write(line)
 
 
 def rerun(
@@ -141,8 +179,12 @@ def rerun(
     """Compute one stage of a submission again, and what then changes behind it."""
     where = _cluster(cluster)
     store, checked = open_store(where.spec.store), Pipeline(find_pipeline(pipeline))
-    for workflow in clusters.rerun(store, checked, where, name, stage, scene or []):
-        sys.stdout.write(workflow + "\n")
+    _say_each(clusters.rerun(store, checked, where, name, stage, scene or []))
+
+
+def _say_each(workflows: dict[str, str]) -> None:
+    for workflow, what in workflows.items():
+        sys.stdout.write(f"{workflow}: {what}\n")
 
 
 def record(
@@ -156,11 +198,24 @@ def record(
     submission = clusters.load_submission(opened, name)
     if scenes is not None:
         names = {scene["name"] for scene in json.loads(scenes)}
+        if gone := sorted(names - {s.name for s in submission.scenes}):
+            raise ConfigurationError(f"{name} has no scene {', '.join(gone)}: it was emitted again with other scenes")
         submission = submission.model_copy(update={"scenes": tuple(s for s in submission.scenes if s.name in names)})
     for run in clusters.record(opened, Pipeline(find_pipeline(pipeline)), submission):
         sys.stdout.write(f"{run.name}: {run.status}\n")
 
 
-def take_mask(name: str, scene: str, request: Path, store: StorePath = STORE) -> None:
-    """Take the mask request of a scene that waits for one; prints the digest that its Workflow is resumed with."""
-    sys.stdout.write(clusters.supply_mask(open_store(store), name, scene, request) + "\n")
+def give_mask(name: str, scene: str, request: Path, cluster: Cluster = CLUSTER) -> None:
+    """Take the mask request of a scene that waits for one, and let that scene go on."""
+    _give(name, scene, MASK_REQUEST, request, cluster)
+
+
+def give_painting(name: str, scene: str, folder: Path, cluster: Cluster = CLUSTER) -> None:
+    """Take the painted views of a scene that waits for them, and let that scene go on."""
+    _give(name, scene, PAINTED, folder, cluster)
+
+
+def _give(name: str, scene: str, external: str, path: Path, cluster: Path) -> None:
+    where = _cluster(cluster)
+    workflow = clusters.give(open_store(where.spec.store), where, name, scene, external, path)
+    sys.stdout.write(f"{workflow}: {scene} goes on\n")

@@ -1,10 +1,10 @@
 """Pipelines of other people's, as the diffusers library saves them: where they lie, and which files make one up."""
 
-import json
 import os
 from pathlib import Path
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.untrusted import MAX_JSON_BYTES, parse_json, read_bounded
 
 INDEX = "model_index.json"
 SUFFIXES = (".json", ".txt", ".model", ".safetensors")
@@ -37,7 +37,7 @@ def locate_hub_cache() -> Path:
 def read_kind(folder: Path) -> str:
     """The pipeline's class. Raises ConfigurationError where no denoising UNet is part of it."""
     try:
-        index = json.loads((folder / INDEX).read_text())
+        index = parse_json(read_bounded(folder / INDEX, MAX_JSON_BYTES))
         kind, parts = str(index["_class_name"]), set(index)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{folder / INDEX} is not that of a diffusers pipeline ({error!r})") from error

@@ -5,20 +5,18 @@ import sys
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.contracts.store import open_store
+from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import comparison, housekeeping
 from inpaint3d.orchestrator.history import History, is_killed
 from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, RunsPath, StorePath
 from inpaint3d.orchestrator.plan import find_pipeline
+from inpaint3d.orchestrator.provenance import find_unproved
 from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.run_folder import own_folder
-from inpaint3d.orchestrator.tables import printable, show_nodes
+from inpaint3d.orchestrator.tables import print_table, printable, show_nodes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -48,19 +46,13 @@ def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
     if as_json:
         sys.stdout.write(json.dumps([r.model_dump(mode="json", exclude={"nodes"}) for r in records], indent=2) + "\n")
         return
-    table = Table("name", "started", "status", "preset", "wall s", "ran", "cached", box=None)
+    rows: list[list[str]] = []
     for r in records:
         counts = [sum(n.status == s for n in r.nodes) for s in ("done", "cached")]
         wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
-        table.add_row(
-            escape(printable(r.name)),
-            r.started[:19],
-            "killed" if is_killed(r) else r.status,
-            r.preset or "",
-            wall,
-            *map(str, counts),
-        )
-    Console().print(table)
+        status = "killed" if is_killed(r) else r.status
+        rows.append([r.name, r.started[:19], status, r.preset or "", wall, *map(str, counts)])
+    print_table(("name", "started", "status", "preset", "wall s", "ran", "cached"), rows)
 
 
 def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:
@@ -75,10 +67,11 @@ def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json
     show_nodes(list(History(open_store(store)).latest(name).nodes), as_json=False)
     for protocol in report["protocols"]:
         sys.stdout.write(f"\n{protocol['name']}: {protocol['description']}\n")
-        table = Table("method", "metric", "value", "unit", "better", "views", box=None)
-        for m in protocol["metrics"]:
-            table.add_row(m["method"], m["name"], f"{m['value']:.4g}", m["unit"], m["better"], str(m["views"]))
-        Console().print(table)
+        rows = [
+            (m["method"], m["name"], f"{m['value']:.4g}", m["unit"], m["better"], str(m["views"]))
+            for m in protocol["metrics"]
+        ]
+        print_table(("method", "metric", "value", "unit", "better", "views"), rows)
 
 
 def verify(
@@ -86,11 +79,17 @@ def verify(
     repair: Annotated[
         bool, typer.Option("--repair", help="put what is bad in quarantine, to be computed again")
     ] = False,
+    provenance: Annotated[
+        str | None, typer.Option(metavar="RUN", help="prove what the last run of this name was made from, instead")
+    ] = None,
 ) -> None:
     """Hash every artifact, key record and listing in the store, and say what is bad or gone.
 
-    Exit codes: 0 nothing bad, or all of it mended; 3 something bad is left.
+    Exit codes: 0 nothing bad, or all of it mended; 3 something bad is left, or not proved.
     """
+    if provenance is not None:
+        _prove(open_store(store), provenance)
+        return
     found = list(housekeeping.find_damage(open_store(store)))
     for damage in found:
         sys.stdout.write(printable(damage.what) + "\n")
@@ -100,6 +99,17 @@ def verify(
     sys.stderr.write(f"{len(found)} damaged, {len(found) - len(left)} mended")
     sys.stderr.write("; `inpaint3d verify --repair` mends what can be\n" if left and not repair else "\n")
     raise typer.Exit(BadInputError.exit_code if left else 0)
+
+
+def _prove(store: Store, name: str) -> None:
+    record = History(store).latest(name)
+    unproved = list(find_unproved(store, record))
+    for what in unproved:
+        sys.stdout.write(printable(what) + "\n")
+    nodes = [n for n in record.nodes if n.status in ("done", "cached")]
+    if unproved:
+        raise BadInputError(f"{name}: {len(unproved)} things are not what its record says; run it again")
+    sys.stderr.write(printable(f"{name}: {len(nodes)} results follow from {', '.join(record.externals)}\n"))
 
 
 def compare(
@@ -116,10 +126,7 @@ def compare(
             Pipeline(find_pipeline(pipeline)), one, History(one).latest(name), two, History(two).latest(other)
         )
     )
-    table = Table("stage", "output", "", "", box=None)
-    for row in rows:
-        table.add_row(row.node, row.port, row.verdict, row.detail)
-    Console(width=140).print(table)
+    print_table(("stage", "output", "", ""), [(r.node, r.port, r.verdict, r.detail) for r in rows], width=140)
     raise typer.Exit(0 if all(r.verdict in ("equal", "may differ") for r in rows) else BadInputError.exit_code)
 
 
@@ -146,9 +153,14 @@ def lineage(name: str, stage: str = "usd-export", store: StorePath = STORE) -> N
 
 
 def publish_again(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE) -> None:
-    """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here."""
+    """Leave the results of the last run of NAME, wherever it ran, in runs/NAME/ here.
+
+    Exit codes: 0 the run did all it was for; else as that of the run, 3 where it does not say why it failed.
+    """
     opened = open_store(store)
     record = History(opened).latest(name)
     with own_folder(runs_dir / name):
         publish(opened, record, runs_dir / name)
-    sys.stderr.write(printable(f"{name}: results: {runs_dir / name}\n"))
+    sys.stderr.write(printable(f"{name}: {record.status}; results: {runs_dir / name}\n"))
+    if record.status != "done":
+        raise typer.Exit(max((n.exit_code or 0 for n in record.nodes), default=0) or BadInputError.exit_code)

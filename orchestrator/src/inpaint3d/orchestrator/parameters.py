@@ -2,16 +2,16 @@
 
 import difflib
 import importlib
+import json
 from collections.abc import Iterator
 from typing import Any, cast
 
-import yaml
-from jsonschema import Draft202012Validator, exceptions
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.pipeline import VARIANT, Parameters, Pipeline, merge_parameters
 from inpaint3d.contracts.models.stage import StageSpec
+from inpaint3d.contracts.models.untrusted import UntrustedError, parse_yaml
 from inpaint3d.orchestrator.parameter_schema import Place, parameter_schema
 
 SEED = "seed"
@@ -33,9 +33,12 @@ def resolve_parameters(pipeline: Pipeline, node: str, chosen: Parameters) -> Par
     """
     schema = parameter_schema(pipeline, node)
     whole = _fill(schema, chosen)
-    for problem in _find_problems(schema, schema, whole, node, node):
-        raise ConfigurationError(problem)
-    _check_with_stage(pipeline.stages[node], node, whole)
+    config = _find_config(pipeline.stages[node])
+    if config is None or not _is_valid(config, whole):
+        for problem in _find_problems(schema, schema, whole, node, node):
+            raise ConfigurationError(problem)
+    if config is not None:
+        _check_with_config(config, node, whole)
     return whole
 
 
@@ -68,6 +71,8 @@ def _take_kind(given: Parameters) -> Parameters:
 def _find_problems(whole: Place, place: Place, value: Any, at: str, node: str) -> Iterator[str]:
     """What is wrong with a value, each with its place; a group of several kinds is held against its own kind alone."""
     if not place.is_group or (value is None and place.nullable):
+        from jsonschema import Draft202012Validator, exceptions  # a sixth of a second, for what is wrong alone
+
         # The schemas are generated, and a test holds them against the metaschema: that is not done again at every run.
         validator = cast(Any, Draft202012Validator({**place.written, "$defs": place.root.get("$defs", {})}))
         if (error := cast(Any, exceptions).best_match(validator.iter_errors(value))) is not None:
@@ -116,15 +121,27 @@ def _take_last(at: str) -> str:
     return at.rpartition(".")[2]
 
 
-def _check_with_stage(stage: StageSpec, node: str, parameters: Parameters) -> None:
-    """Hold parameters against the stage's own `Config`, whose rules join parameters; not where it isn't installed."""
+def _find_config(stage: StageSpec) -> type[BaseModel] | None:
+    """The stage's own `Config`, whose rules join parameters; None where the stage isn't installed."""
     name = f"{stage.spec.module}.config"
     try:
-        config = importlib.import_module(name).Config
+        return importlib.import_module(name).Config
     except ModuleNotFoundError as error:
         if error.name is None or not f"{name}.".startswith(f"{error.name}."):
             raise
-        return
+        return None
+
+
+def _is_valid(config: type[BaseModel], parameters: Parameters) -> bool:
+    """Whether the stage takes the parameters as they are, converting nothing: then its schema, made of it, does too."""
+    try:
+        config.model_validate_json(json.dumps(parameters), strict=True)
+    except (ValidationError, TypeError):
+        return False
+    return True
+
+
+def _check_with_config(config: type[BaseModel], node: str, parameters: Parameters) -> None:
     try:
         config.model_validate(parameters)
     except ValidationError as error:
@@ -157,9 +174,9 @@ def _parse_assignment(pipeline: Pipeline, line: str) -> tuple[str, list[str], An
     if node not in pipeline.nodes:
         raise ConfigurationError(f"--set {line}: no stage {node}; there are {', '.join(pipeline.order)}")
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"--set {line}: {text!r} is not a YAML value") from error
+        value, _ = parse_yaml(text)
+    except UntrustedError as error:
+        raise ConfigurationError(f"--set {line}: {text!r:.200} is not a YAML value ({error})") from error
     if path == [SEED] and (type(value) is not int or value < 0):
         raise ConfigurationError(f"--set {line}: a seed is a whole number, 0 or more")
     return node, path, value

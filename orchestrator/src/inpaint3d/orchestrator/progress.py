@@ -1,18 +1,10 @@
-"""What a person or a program sees while a run goes on: a live table on a terminal, JSON lines elsewhere."""
+"""What a person or a program sees of a run as it goes on: a live table on a terminal, JSON lines elsewhere."""
 
 import json
 import sys
 import time
 from collections.abc import Mapping
 from typing import Any, Protocol
-
-from rich.console import Console
-from rich.live import Live
-from rich.markup import escape
-from rich.progress_bar import ProgressBar
-from rich.table import Table
-
-from inpaint3d.orchestrator.tables import printable
 
 JSON_INTERVAL_S = 5.0
 
@@ -64,49 +56,11 @@ class JsonLines:
         sys.stdout.flush()
 
 
-class LiveTable:
-    """A table with a row for each stage: state, bar, time left."""
-
-    def __init__(self, nodes: list[str]) -> None:
-        self._rows: dict[str, dict[str, Any]] = {n: {"status": "", "text": ""} for n in nodes}
-        self._eta = Eta()
-        self._live = Live(self._table(), console=Console(), refresh_per_second=4)
-        self._live.start()
-
-    def node(self, node: str, status: str, reason: str = "", **values: Any) -> None:
-        text = values.get("error") or reason
-        self._rows[node] = {"status": status, "text": text}
-        self._live.update(self._table())
-
-    def progress(self, node: str, event: Mapping[str, Any]) -> None:
-        done, total = float(event["done"]), float(event["total"])
-        self._rows[node] |= {
-            "bar": ProgressBar(total=total, completed=done, width=24),
-            "eta": self._eta.seconds(node, done, total),
-            "text": event.get("message", ""),
-        }
-        self._live.update(self._table())
-
-    def close(self) -> None:
-        self._live.stop()
-
-    def _table(self) -> Table:
-        colours = {"done": "green", "cached": "cyan", "failed": "red", "running": "yellow", "waiting": "magenta"}
-        table = Table(box=None, pad_edge=False)
-        for title in ("stage", "state", "", "left", ""):
-            table.add_column(title, no_wrap=title != "")
-        for name, row in self._rows.items():
-            status = row["status"]
-            eta = row.get("eta") if status == "running" else None
-            left = "" if eta is None else f"{int(eta) // 60}:{int(eta) % 60:02d}"
-            bar = row.get("bar", "") if status == "running" else ""
-            table.add_row(
-                name, f"[{colours.get(status, 'dim')}]{status}[/]", bar, left, escape(printable(str(row["text"])))
-            )
-        return table
-
-
 def choose_display(log_format: str, nodes: list[str]) -> Display:
     """`auto`: a table on a terminal, JSON lines elsewhere; `json` and `table` say which."""
     as_table = log_format == "table" or (log_format == "auto" and sys.stdout.isatty())
-    return LiveTable(nodes) if as_table else JsonLines()
+    if not as_table:
+        return JsonLines()
+    from inpaint3d.orchestrator.live_table import LiveTable  # what draws it takes a tenth of a second to import
+
+    return LiveTable(nodes)

@@ -15,6 +15,7 @@ from typing import Any, Literal
 from inpaint3d.contracts.errors import (
     EXIT_CODES,
     ConfigurationError,
+    DoubtfulError,
     Inpaint3dError,
     InterruptedRun,
     RetryableError,
@@ -22,12 +23,13 @@ from inpaint3d.contracts.errors import (
 )
 from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.report import NodeRun, RunRecord, Status
+from inpaint3d.contracts.models.stage import count_cpus
 from inpaint3d.contracts.store import Record, this_process
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.plan import Planner, Selection, Task, add_result
 from inpaint3d.orchestrator.progress import Display
-from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, start
+from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, Starter
 
 RunStatus = Literal["running", "done", "failed", "waiting", "stopped"]
 POLL_S = 0.5
@@ -44,6 +46,7 @@ class Scheduler:
     folder: Path
     runner: Runner = field(default_factory=ProcessRunner)
     cores: int = field(default_factory=lambda: this_machine().cores)
+    accept_doubtful: bool = False
     _running: dict[str, RunningStage] = field(default_factory=dict[str, RunningStage])
     _tasks: dict[str, Task] = field(default_factory=dict[str, Task])
     _results: dict[str, NodeRun] = field(default_factory=dict[str, NodeRun])
@@ -73,8 +76,7 @@ class Scheduler:
         """
         (self.folder / "logs").mkdir(parents=True, exist_ok=True)
         try:
-            with self._signals(), tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
-                self._private = Path(private)
+            with self._signals(), self._starter():
                 self._go_along()
         except BrokenPipeError as error:
             self._abort("stopped", gone := "nobody reads standard output any more")
@@ -94,11 +96,7 @@ class Scheduler:
             self._hear()
 
     def _abort(self, status: RunStatus, message: str) -> None:
-        """End the stages, and the record, of a run that an exception ends."""
-        for running in self._running.values():
-            running.stop()
-        for running in self._running.values():
-            running.wait()
+        """End the record of a run that an exception ends, whose stages have ended."""
         with contextlib.suppress(OSError):  # what failed may be the display
             self.display.close()
         for node in self._running:
@@ -137,8 +135,8 @@ class Scheduler:
     def _room(self, node: str) -> int:
         """Threads for a node now: its request if free, up to its limit where nobody else is waiting; 0: no room."""
         resources = self.planner.pipeline.stages[node].spec.resources
-        wanted = min(self.cores, max(1, int(float(resources.requests.get("cpu", "1")))))
-        most = min(self.cores, int(float(resources.limits.get("cpu", resources.requests.get("cpu", "1")))))
+        wanted = min(self.cores, max(1, int(count_cpus(resources.requests.get("cpu", "1")))))
+        most = min(self.cores, int(count_cpus(resources.limits.get("cpu", resources.requests.get("cpu", "1")))))
         free = self.cores - sum(r.threads for r in self._running.values())
         if free < wanted and self._running:
             return 0
@@ -160,11 +158,10 @@ class Scheduler:
             stub=self.planner.stub,
             threads=threads,
             die_with_parent=True,
+            accept_doubtful=True,  # whether to go on is decided by the record, which may be an earlier run's
         )
         log = self.folder / "logs" / f"{task.node}.log"
-        self._running[task.node] = start(
-            task.node, self.runner, spec, self.planner.store, task.key, invocation, log, self._private, self._events
-        )
+        self._running[task.node] = self._stages.start(task.node, spec, task.key, invocation, log)
         self.display.node(task.node, "running", task.reason, threads=threads)
         self._save("running")
 
@@ -214,13 +211,18 @@ class Scheduler:
         self._close(task, status, error=message, exit_code=code)
 
     def _accept(self, task: Task, status: Status, record: Record) -> None:
-        self.planner.outputs[task.node] = record.outputs
         run = add_result(self._node_run(task, status), record)
+        if run.doubts and not self.accept_doubtful:
+            doubt = DoubtfulError(run.doubts)
+            run = run.model_copy(update={"status": "failed", "error": str(doubt), "exit_code": doubt.exit_code})
+        else:
+            self.planner.outputs[task.node] = record.outputs
         self._results[task.node] = run
-        self.display.node(task.node, status, task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
+        self.display.node(task.node, run.status, run.error or task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
         if (problem := self.planner.request_problem(task.node)) is not None:
             self._refuse_request(problem)
-        self._save("running")
+        if status == "done":  # of what is cached the next save tells, that of the end at the latest
+            self._save("running")
 
     def _refuse_request(self, problem: str) -> None:
         """End the run before the stages that read the mask request have their turn, as they would end it."""
@@ -281,6 +283,23 @@ class Scheduler:
             update["wall_s"] = round(time.monotonic() - self._began, 3)
         self.record = self.record.model_copy(update=update)
         self.planner.history.save(self.record)
+
+    @contextlib.contextmanager
+    def _starter(self) -> Generator[None]:
+        with tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
+            self._stages = Starter(self.runner, self.planner.store, Path(private), self._events)
+            try:
+                yield
+            finally:
+                self._end_stages()
+                self._stages.close()
+
+    def _end_stages(self) -> None:
+        """Of a run that an exception ends; of another none is left."""
+        for running in self._running.values():
+            running.stop()
+        for running in self._running.values():
+            running.wait()
 
     @contextlib.contextmanager
     def _signals(self) -> Generator[None]:

@@ -2,11 +2,8 @@
 
 import json
 import sys
+from collections.abc import Iterable, Sequence
 from typing import Any
-
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Column, Table
 
 from inpaint3d.contracts.models.report import NodeRun
 
@@ -16,27 +13,44 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
+def print_table(
+    columns: Sequence[str], rows: Iterable[Sequence[str]], *, wrapped: Sequence[str] = (), width: int | None = None
+) -> None:
+    """Print plain text in columns. `wrapped`: the columns whose text may take several lines; none: all."""
+    from rich.console import Console  # a tenth of a second, which a command that prints no table does without
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None)
+    for column in columns:
+        table.add_column(column, no_wrap=bool(wrapped) and column not in wrapped)
+    for row in rows:
+        table.add_row(*(escape(printable(cell)) for cell in row))
+    Console(width=width).print(table)
+
+
 def show_nodes(nodes: list[NodeRun], *, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps([n.model_dump(mode="json") for n in nodes], indent=2) + "\n")
         return
-    fixed = [Column(title, no_wrap=True) for title in ("stage", "state", "wall s", "CPU s", "peak MiB")]
-    table = Table(*fixed, "why", box=None)
-    for n in nodes:
-        memory = "" if n.peak_memory_bytes is None else f"{n.peak_memory_bytes / 2**20:.0f}"
-        figures = ["" if v is None else f"{v:.1f}" for v in (n.wall_s, n.cpu_s)]
-        changes = "".join(f"\n  {c.component}: {json.dumps(c.old)} -> {json.dumps(c.new)}" for c in n.changes)
-        table.add_row(n.node, n.status, *figures, memory, escape(printable(n.reason + changes)))
-    Console().print(table)
+    columns = ("stage", "state", "wall s", "CPU s", "peak MiB", "why")
+    print_table(columns, map(_describe_node, nodes), wrapped=("why",))
+
+
+def _describe_node(n: NodeRun) -> list[str]:
+    memory = "" if n.peak_memory_bytes is None else f"{n.peak_memory_bytes / 2**20:.0f}"
+    figures = ["" if v is None else f"{v:.1f}" for v in (n.wall_s, n.cpu_s)]
+    changes = "".join(f"\n  {c.component}: {json.dumps(c.old)} -> {json.dumps(c.new)}" for c in n.changes)
+    return [n.node, n.status, *figures, memory, n.reason + changes]
 
 
 def show_scores(table: dict[str, Any]) -> None:
     """The rows of `tabulate`, and under them how each scene was scored."""
-    shown = Table("scene", "method", "views", *table["metrics"], box=None)
+    rows: list[list[str]] = []
     for row in (*table["scenes"], table["mean"], *table["published"]):
         values = ["" if (v := row["figures"].get(name)) is None else f"{v:.4g}" for name in table["metrics"]]
         views = "" if row.get("views") is None else str(row["views"])
-        shown.add_row(escape(printable(row["name"])), row.get("method") or "", views, *values)
-    Console(width=140).print(shown)
+        rows.append([row["name"], row.get("method") or "", views, *values])
+    print_table(("scene", "method", "views", *table["metrics"]), rows, width=140)
     for row in table["scenes"]:
         sys.stdout.write(f"\n{printable(row['name'])}: {row['protocol'] or 'failed; see above'}\n")

@@ -6,6 +6,7 @@ import torch
 from safetensors.torch import load_file, save
 
 from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
+from inpaint3d.contracts.models.untrusted import read_safetensors_header
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.runtimes import load_onnx
@@ -31,8 +32,9 @@ def save_prior(path: Path, prior: InpaintingPrior, *, half: bool = False) -> Non
 def load_prior(path: Path, spec: PriorSpec, *, bf16: bool = False) -> InpaintingPrior:
     """The prior of these weights, in float32, ready to be queried (no gradients).
 
-    Raises ValueError where the weights are not those of the spec, or not finite.
+    Raises ValueError where the weights are not those of the spec, or not all finite.
     """
+    read_safetensors_header(path)
     prior = InpaintingPrior(spec, bf16=bf16)
     weights = {name: tensor.float() for name, tensor in load_file(path).items()}
     if strange := find_non_finite({name: tensor.numpy() for name, tensor in weights.items()}):

@@ -41,7 +41,7 @@ def ddpm(
         # 1 - SNR(t) / SNR(s): the share of z_t's noise that came in after s.
         fresh = 1 - (a_t * s_s / (s_t * a_s)) ** 2
         mean = (a_t / a_s) * (s_s / s_t) ** 2 * z + a_s * fresh * clean
-        z = mean + s_s * fresh.sqrt() * torch.randn(z.shape, generator=generator).to(z)
+        z = mean + s_s * fresh.sqrt() * torch.randn(z.shape, generator=generator, device=generator.device).to(z)
     return z
 
 
@@ -97,8 +97,8 @@ def inpaint(
     """A sample of what may be in the hole, in [-1, 1]; known pixels come back untouched."""
     with torch.no_grad():
         code = denoiser.encode(torch.zeros_like(image))  # its shape alone counts
-        noise = torch.randn(code.shape, generator=generator).to(code)
-        noise_fill = torch.randn(image.shape, generator=generator).to(image)
+        noise = torch.randn(code.shape, generator=generator, device=generator.device).to(code)
+        noise_fill = torch.randn(image.shape, generator=generator, device=generator.device).to(image)
 
         def predict(z: Tensor, t: Tensor) -> Tensor:
             return denoiser.predict_noise(z, t, image, mask, guidance=guidance, noise_fill=noise_fill)

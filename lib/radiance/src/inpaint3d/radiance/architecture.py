@@ -1,12 +1,53 @@
-"""What a field of a given spec consists of, without any tensor library: grid levels, and the shape of each weight."""
+"""The parameters that size a field, and what one of a given spec consists of: grid levels, the shape of each weight.
+
+Imports no array library: the parameters are checked where no field is made.
+"""
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
+from inpaint3d.contracts.models.base import Closed, Positive, Share
+
+Count = Annotated[int, Field(ge=1)]
+Samples = Annotated[int, Field(ge=2)]
+Log2 = Annotated[int, Field(ge=4, le=28)]
 
 # Spherical harmonics of degrees 0 to 3.
 DIRECTION_COMPONENTS = 16
+
+
+class Architecture(Closed):
+    """Size of a field. What the effect plan switches off is left out."""
+
+    levels: Count = Field(default=8, description="resolutions of the hash grid; 10 in the paper (N3)")
+    coarsest: Count = Field(default=16, description="cells per side at the coarsest level (N3)")
+    finest: Count = Field(default=1024, description="cells per side at the finest level; 8192 in the paper (N3)")
+    log2_table: Log2 = Field(default=17, description="log2 of the entries of a level; 21 in the paper (N3)")
+    channels: Count = Field(default=4, description="numbers per entry; 4 in the paper (N3)")
+    samples: Samples = Field(default=24, description="field samples a ray; 32 in the paper (N2)")
+    sampler: Literal["proposal", "density-grid"] = Field(
+        default="proposal",
+        description="where rays ask the field: where a smaller network proposes (N2), or where it was "
+        "dense when last asked",
+    )
+    density_cells: Count = Field(default=96, description="cells per side of the density grid")
+    density_bins: Samples = Field(default=64, description="intervals of a ray that are looked up in it")
+    proposal_samples: tuple[Samples, ...] = Field(
+        default=(48,), description="samples a ray of each proposal round; 64, 64 in the paper (N2)"
+    )
+    proposal_levels: Count = Field(default=5, description="resolutions of the proposal's grid; 10 in the paper (N3)")
+    proposal_finest: Count = Field(default=256, description="cells per side of its finest level; 8192 in the paper")
+    proposal_log2_table: Log2 = Field(default=16, description="log2 of the entries of its levels; 21 in the paper")
+    density_width: Count = Field(default=64, description="width of the density networks (N4)")
+    bottleneck: Count = Field(default=15, description="numbers that reach the view-dependent network (N4)")
+    view_width: Count = Field(default=64, description="width of the view-dependent network (N4)")
+    view_layers: Count = Field(default=2, description="its hidden layers, where the plan has view dependence on (N4)")
+    glo: Count = Field(default=4, description="length of the appearance codes, where the plan has exposure on (N6)")
+    near_share: Share = Field(default=0.1, description="where rays start, as a share of the capture's centre depth")
+    far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
 
 
 class Level(NamedTuple):

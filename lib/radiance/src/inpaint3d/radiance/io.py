@@ -7,6 +7,7 @@ from safetensors.torch import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import FieldSpec
+from inpaint3d.contracts.models.untrusted import UntrustedError, read_safetensors_header
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.health import check_finite, find_non_finite
@@ -22,8 +23,9 @@ def load_field(path: Path, spec: FieldSpec, backend: backends.Name | None = None
     """The field of a spec with the weights of a file; ArtifactError where they do not fit."""
     field = RadianceField(spec, seed=0, backend=backend)
     try:
+        read_safetensors_header(path)
         weights = load_file(path)
-    except (OSError, SafetensorError) as error:
+    except (OSError, SafetensorError, UntrustedError) as error:
         raise ArtifactError(f"weights {path} cannot be read ({error}); run the stage that wrote them again") from error
     wanted = {name: tuple(tensor.shape) for name, tensor in field.state_dict().items()}
     found = {name: tuple(tensor.shape) for name, tensor in weights.items()}

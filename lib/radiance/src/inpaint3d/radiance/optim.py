@@ -103,12 +103,15 @@ class Adam:
         if self._before_step is not None:
             self._before_step()
         self.steps += 1
-        self.lost.clear()
-        for param in self._field.parameters():
-            if param.grad is not None:
-                self._move(param, param.grad, rate * 0.5**self.halvings)
+        moved = [param for param in self._field.parameters() if param.grad is not None]
+        rate = rate * 0.5**self.halvings
+        lost = [self._move(param, param.grad, rate) for param in moved if param.grad is not None]
+        # Read in one go: each number that is read from a GPU waits for all that it has been told to do.
+        counts = [torch.as_tensor(n, device=p.device) for n, p in zip(lost, moved, strict=True)]
+        read = torch.stack(counts).tolist() if counts else []
+        self.lost = {param: count for param, count in zip(moved, read, strict=True) if count}
 
-    def _move(self, param: Tensor, grad: Tensor, rate: float) -> None:
+    def _move(self, param: Tensor, grad: Tensor, rate: float) -> int | Tensor:
         m, v = self.moments(param)
         levels = self._levels.get(id(param))
         sparse = self._sparse and levels is not None
@@ -119,5 +122,4 @@ class Adam:
             of = (param[part], grad[part], m[part], v[part])
             how = AdamStep(self.steps, rate, *self._betas, self._eps, decay, sparse)
             lost += self._field.backend.adam_step(*of, how)
-        if lost:
-            self.lost[param] = lost
+        return lost

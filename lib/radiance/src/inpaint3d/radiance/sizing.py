@@ -1,18 +1,10 @@
-"""How large a field is: the parameters that size it, and the field that they and an effect plan make."""
-
-from typing import Annotated, Literal
+"""The field that the parameters of its size and an effect plan make."""
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
-from inpaint3d.contracts.models.base import Closed, Positive, Share
-from inpaint3d.radiance.architecture import planned_spec
-
-Count = Annotated[int, Field(ge=1)]
-Samples = Annotated[int, Field(ge=2)]
-Log2 = Annotated[int, Field(ge=4, le=28)]
+from inpaint3d.radiance.architecture import Architecture, planned_spec
 
 # Without contraction the cube is just large enough for this percentage of the sparse points (outliers would make it far
 # too large), times the margin.
@@ -20,37 +12,6 @@ POINTS_INSIDE, CUBE_MARGIN = 99.0, 1.1
 # Scene analysis calls a scene bounded that has up to 2 % of its points far away. Where these reach this many times as
 # far as all but 3 %, the cube leaves them out.
 CORE_INSIDE, FAR_BEYOND = 97.0, 2.0
-
-
-class Architecture(Closed):
-    """Size of a field. What the effect plan switches off is left out."""
-
-    levels: Count = Field(default=8, description="resolutions of the hash grid; 10 in the paper (N3)")
-    coarsest: Count = Field(default=16, description="cells per side at the coarsest level (N3)")
-    finest: Count = Field(default=1024, description="cells per side at the finest level; 8192 in the paper (N3)")
-    log2_table: Log2 = Field(default=17, description="log2 of the entries of a level; 21 in the paper (N3)")
-    channels: Count = Field(default=4, description="numbers per entry; 4 in the paper (N3)")
-    samples: Samples = Field(default=24, description="field samples a ray; 32 in the paper (N2)")
-    sampler: Literal["proposal", "density-grid"] = Field(
-        default="proposal",
-        description="where rays ask the field: where a smaller network proposes (N2), or where it was "
-        "dense when last asked",
-    )
-    density_cells: Count = Field(default=96, description="cells per side of the density grid")
-    density_bins: Samples = Field(default=64, description="intervals of a ray that are looked up in it")
-    proposal_samples: tuple[Samples, ...] = Field(
-        default=(48,), description="samples a ray of each proposal round; 64, 64 in the paper (N2)"
-    )
-    proposal_levels: Count = Field(default=5, description="resolutions of the proposal's grid; 10 in the paper (N3)")
-    proposal_finest: Count = Field(default=256, description="cells per side of its finest level; 8192 in the paper")
-    proposal_log2_table: Log2 = Field(default=16, description="log2 of the entries of its levels; 21 in the paper")
-    density_width: Count = Field(default=64, description="width of the density networks (N4)")
-    bottleneck: Count = Field(default=15, description="numbers that reach the view-dependent network (N4)")
-    view_width: Count = Field(default=64, description="width of the view-dependent network (N4)")
-    view_layers: Count = Field(default=2, description="its hidden layers, where the plan has view dependence on (N4)")
-    glo: Count = Field(default=4, description="length of the appearance codes, where the plan has exposure on (N6)")
-    near_share: Share = Field(default=0.1, description="where rays start, as a share of the capture's centre depth")
-    far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
 
 
 def field_spec(

@@ -87,7 +87,7 @@ def descend(
     """
     step = optimizer.steps
     field.zero_grad()
-    values = {name: float(term.detach()) for name, term in terms.items()}
+    values = dict(zip(terms, torch.stack([term.detach() for term in terms.values()]).tolist(), strict=True))
     places = {f"loss.{name}": 1 for name, value in values.items() if not math.isfinite(value)}
     if not places:
         torch.stack(list(terms.values())).sum().backward()

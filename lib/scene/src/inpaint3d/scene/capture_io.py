@@ -6,10 +6,20 @@ from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
+from inpaint3d.contracts.models.artifacts import (
+    Capture,
+    CapturedFrame,
+    LensModel,
+    PosedCapture,
+    PosedFrame,
+    PosedTruth,
+    Truth,
+)
+from inpaint3d.contracts.models.untrusted import UntrustedError, read_safetensors_header
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, read_opaque, write_mask, write_png
@@ -132,7 +142,11 @@ def load_posed(artifact: PosedFolder) -> list[View]:
 
 def load_points(path: Path) -> SparsePoints:
     """Read `points.safetensors`; ArtifactError where an array is missing, has another shape, or is not finite."""
-    arrays = load_file(path)
+    try:
+        read_safetensors_header(path)
+        arrays = load_file(path)
+    except (UntrustedError, SafetensorError) as error:
+        raise ArtifactError(f"{path}: {error}; run pose-estimation") from error
     for name, (dtype, tail) in _POINTS.items():
         found = arrays.get(name)
         if found is None or found.dtype != dtype or found.shape[1:] != tail:
@@ -159,6 +173,7 @@ def write_view(
     relative_exposure: float | None = None,
     mask: ArrayLike | None = None,
     valid: ArrayLike | None = None,
+    lens: LensModel | None = None,
 ) -> PosedFrame:
     """Write a posed view's picture (and masks, where given) under an artifact's folder; returns its record."""
     write_png(folder / "frames" / f"{name}.png", image)
@@ -176,6 +191,7 @@ def write_view(
         cx=camera.cx,
         cy=camera.cy,
         world_from_cam=camera.pose,
+        lens=lens,
         split=split,
         relative_exposure=relative_exposure,
         mask=f"masks/{name}.png" if mask is not None else None,

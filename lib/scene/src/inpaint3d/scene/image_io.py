@@ -31,6 +31,9 @@ MAX_WHITE, MIN_LIGHT = 0.5, 1e-3
 _UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
 
 
+Attribute = int | float | str | tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Header:
     """What a file says of its picture, before any pixel is read. Sizes are as stored, not yet turned upright."""
@@ -42,7 +45,7 @@ class Header:
     is_float: bool
     orientation: int
     format: str
-    exif: dict[str, int | float | str]
+    exif: dict[str, Attribute]
     profile: ColourProfile | None = None  # None: its codes are sRGB, or linear light
 
     @property
@@ -232,9 +235,9 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
-def _attributes(spec: oiio.ImageSpec) -> dict[str, int | float | str]:
+def _attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
     """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
-    found: dict[str, int | float | str] = {}
+    found: dict[str, Attribute] = {}
     for attribute in spec.extra_attribs:
         try:
             name, value = attribute.name, attribute.value
@@ -242,6 +245,8 @@ def _attributes(spec: oiio.ImageSpec) -> dict[str, int | float | str]:
             continue
         if isinstance(value, (int, float, str)):
             found[name] = value
+        elif isinstance(value, tuple) and all(isinstance(part, (int, float)) for part in value):
+            found[name] = tuple(map(float, value))
     return found
 
 

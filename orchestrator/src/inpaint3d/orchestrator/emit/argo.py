@@ -2,37 +2,38 @@
 
 Mechanical: a template for each node, a task for each node, a parameter for each port. Only digests pass between pods;
 the bulk goes through the store, and what a key already has is found there by the shim, so that nothing is memoised
-here. The documents read as the YAML does; hera's typed models check them (`check_types`), `emit.check` the rest.
+here. The documents read as the YAML does; hera's typed models check them (`emit.documents`), `emit.check` the rest.
 """
 
 import json
-from typing import Any, cast
-
-import yaml
+from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.cluster import ClusterSpec, Scene, Submission
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.contracts.models.stage import StageSpec
+from inpaint3d.contracts.models.stage import count_cpus
 from inpaint3d.orchestrator.configure import ConfiguredPipeline, configure_submission
+from inpaint3d.orchestrator.emit.documents import Document, check_types
+from inpaint3d.orchestrator.emit.pods import choose_resources, list_volumes, patch_argo_containers, write_pod
+from inpaint3d.orchestrator.emit.service_account import write_service_account
 
-Document = dict[str, Any]
 API_VERSION = "argoproj.io/v1alpha1"
 LABEL = "inpaint3d"
+ASKED = f"{LABEL}/asked"
+"""Of a Workflow: the digest of all that it asks for, by which `submit` knows what the cluster has already."""
+KEPT_AFTER_SUCCESS = "1h"
+"""How long a pod that did its work stays, for its log; those that failed stay as long as their Workflow."""
 PRESET, LEFT_OUT = f"{LABEL}/preset", f"{LABEL}/left-out"
 INVOCATION, OUTPUTS = "/inpaint3d/invocation.json", "/tmp/outputs"  # noqa: S108 - a path in a pod
 RECORDER = "inpaint3d/orchestrator"
-AWAIT_MASK = "await-mask"
-# The pod is gone (Error, or no exit code), it was told to go (143), or the stage says that another try may work (75).
-# A stage that used up its memory (137) or its deadline would do so again.
-RETRY = (
-    '(lastRetry.status == "Error" || asInt(lastRetry.exitCode) in [-1, 75, 143])'
-    ' && !(lastRetry.message contains "deadline")'
-)
+AWAIT = {"mask-request": "await-mask", "painted-views": "await-painting"}
+"""External -> the step that waits for somebody to supply it."""
 
 
 def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, suffix: str = "") -> list[Document]:
-    """A WorkflowTemplate, and a Workflow for every `scenesPerWorkflow` scenes, named with `suffix` and a number.
+    """The service account, a WorkflowTemplate, and a Workflow for every `scenesPerWorkflow` scenes, named with `suffix`
+    and a number.
 
     Raises ConfigurationError.
     """
@@ -46,62 +47,16 @@ def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, su
     batches = [submission.scenes[i : i + size] for i in range(0, len(submission.scenes), size)]
     names = [f"{submission.name}{suffix}-{i:04d}" for i in range(len(batches))]
     workflows = [_workflow(pipeline, cluster, submission, n, b) for n, b in zip(names, batches, strict=True)]
-    return [check_types(document) for document in (template, *workflows)]
-
-
-def check_types(document: Document) -> Document:
-    """The document as hera's model of its kind has it. ConfigurationError where a field is not Argo's."""
-    from hera.workflows import models
-    from pydantic import ValidationError
-
-    kinds: dict[str, Any] = {"WorkflowTemplate": models.WorkflowTemplate, "Workflow": models.Workflow}
-    kind = document.get("kind")
-    if kind not in kinds:
-        raise ConfigurationError(f"kind {kind!r} is none of {', '.join(kinds)}")
-    try:
-        model = kinds[kind].model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError(f"{kind}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-    kept = cast(Document, model.model_dump(mode="json", by_alias=True, exclude_none=True))
-    # The models ignore what they do not know: a typo is what did not come back.
-    if lost := _lost(document, kept):
-        raise ConfigurationError(f"{kind}: Argo has no field {lost}")
-    return kept
-
-
-def _lost(given: Any, kept: Any, at: str = "") -> str | None:
-    if isinstance(given, dict) and isinstance(kept, dict):
-        for name, value in cast(Document, given).items():
-            if name not in kept:
-                return f"{at}.{name}".removeprefix(".")
-            if found := _lost(value, kept[name], f"{at}.{name}"):
-                return found
-    if isinstance(given, list) and isinstance(kept, list):
-        pairs = zip(cast(list[Any], given), cast(list[Any], kept), strict=True)
-        return next((found for i, (g, k) in enumerate(pairs) if (found := _lost(g, k, f"{at}.{i}"))), None)
-    return None
-
-
-def dump(documents: list[Document]) -> str:
-    """YAML that Kubernetes reads as it was meant."""
-    return yaml.dump_all(documents, Dumper=_Dumper, sort_keys=False, width=120)
-
-
-class _Dumper(yaml.SafeDumper):
-    def represent_text(self, text: str) -> yaml.Node:
-        # YAML 1.1, which Kubernetes reads, has `n` and `y` for booleans; PyYAML would leave them bare.
-        quoted = text.lower() in ("y", "n")
-        return cast(Any, self).represent_scalar("tag:yaml.org,2002:str", text, style='"' if quoted else None)
-
-
-_Dumper.add_representer(str, _Dumper.represent_text)
+    account = write_service_account(cluster) if cluster.spec.createServiceAccount else []
+    for workflow in workflows:
+        workflow["metadata"]["annotations"] = {ASKED: digest_of([template["spec"], workflow["spec"]])}
+    return [*account, *map(check_types, (template, *workflows))]
 
 
 def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission) -> Document:
     body, pipeline = cluster.spec, configured.pipeline
     nodes = [_stage(configured, cluster, submission, node) for node in pipeline.order]
-    waiting = [_await_mask()] if submission.awaitMasks else []
+    waiting = [_await(external) for external in submission.awaited]
     spec: Document = {
         "entrypoint": "scenes",
         "onExit": "record",
@@ -110,7 +65,10 @@ def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: 
         "serviceAccountName": body.serviceAccountName,
         "podMetadata": {"labels": {f"{LABEL}/template": submission.name}},
         "securityContext": {"runAsNonRoot": True, "runAsUser": 10001, "runAsGroup": 10001, "fsGroup": 10001},
-        "volumes": _volumes(cluster),
+        "volumes": list_volumes(cluster),
+        "podSpecPatch": json.dumps(patch_argo_containers(), sort_keys=True),
+        "ttlStrategy": {"secondsAfterCompletion": body.secondsKept},
+        "podGC": {"strategy": "OnPodSuccess", "deleteDelayDuration": KEPT_AFTER_SUCCESS},
         "templates": [_scenes(pipeline), _scene(pipeline, submission), *nodes, *waiting, _record(cluster, submission)],
     }
     if body.priorityClassName is not None:
@@ -166,9 +124,11 @@ def _scene(pipeline: Pipeline, submission: Submission) -> Document:
     for node in pipeline.order:
         arguments = [{"name": p, "value": _source(r, submission)} for p, r in _ports(pipeline, node).items()]
         after = sorted(pipeline.upstream(node))
-        if submission.awaitMasks and _wants_mask(pipeline, node):
-            tasks.append({"name": AWAIT_MASK, "template": AWAIT_MASK, "dependencies": after})
-            after = [*after, AWAIT_MASK]
+        for step in [AWAIT[e] for e in submission.awaited if f"external.{e}" in _ports(pipeline, node).values()]:
+            # Where several nodes read it, the first one's inputs are there before anybody is asked.
+            if all(task["name"] != step for task in tasks):
+                tasks.append({"name": step, "template": step, "dependencies": sorted(pipeline.upstream(node))})
+            after = [*after, step]
         task: Document = {"name": node, "template": node, "arguments": {"parameters": arguments}}
         tasks.append(task | ({"dependencies": after} if after else {}))
     inputs = [{"name": n} for n in ("name", *pipeline.spec.spec.externals)]
@@ -189,13 +149,9 @@ def _source(reference: str, submission: Submission) -> str:
     node, _, name = reference.partition(".")
     if node != "external":
         return f"{{{{tasks.{node}.outputs.parameters.{name}}}}}"
-    if name == "mask-request" and submission.awaitMasks:
-        return f"{{{{tasks.{AWAIT_MASK}.outputs.parameters.{name}}}}}"
+    if name in submission.awaited:
+        return f"{{{{tasks.{AWAIT[name]}.outputs.parameters.{name}}}}}"
     return f"{{{{inputs.parameters.{name}}}}}"
-
-
-def _wants_mask(pipeline: Pipeline, node: str) -> bool:
-    return "external.mask-request" in _ports(pipeline, node).values()
 
 
 def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission, node: str) -> Document:
@@ -204,13 +160,13 @@ def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Sub
     stage = pipeline.stages[node]
     ports = _ports(pipeline, node)
     on_gpu = submission.device == "cuda" and stage.spec.gpu != "none"
-    template = _pod(
+    template = write_pod(
         cluster,
         submission,
         stage.spec.image,
         command=["inpaint3d-stage"],
         args=["run", "--store", cluster.spec.store, "--invocation", INVOCATION, "--outputs", OUTPUTS],
-        resources=_resources(stage, cluster, on_gpu=on_gpu),
+        resources=choose_resources(stage, cluster, on_gpu=on_gpu),
     )
     invocation = _invocation(configured, submission, node, device="cuda" if on_gpu else "cpu")
     selector = {**cluster.spec.nodeSelector, **(cluster.spec.gpu.nodeSelector if on_gpu else {})}
@@ -259,8 +215,9 @@ def _invocation(configured: ConfiguredPipeline, submission: Submission, node: st
             "inputs": inputs,
             "seed": configured.seeds[node],
             "device": device,
-            "threads": max(1, int(float(cpu))),
+            "threads": max(1, int(count_cpus(cpu))),
             "stub": submission.stub,
+            **({"accept_doubtful": True} if submission.acceptDoubtful else {}),
         },
         sort_keys=True,
     )
@@ -271,86 +228,21 @@ def _file(name: str, path: str, data: str) -> Document:
     return {"name": name, "path": path, "mode": 0o444, "raw": {"data": data}}
 
 
-def _resources(stage: StageSpec, cluster: ClusterSpec, *, on_gpu: bool) -> Document:
-    gpu = {cluster.spec.gpu.resource: str(cluster.spec.gpu.count)} if on_gpu else {}
-    declared = stage.spec.resources
-    return {"requests": dict(declared.requests), "limits": {**declared.limits, **gpu}}
-
-
-def _pod(
-    cluster: ClusterSpec,
-    submission: Submission,
-    image: str,
-    *,
-    command: list[str],
-    args: list[str],
-    resources: Document,
-) -> Document:
-    """What every pod has: the restricted security context, the cache, the way to the store, retries of lost pods."""
-    body = cluster.spec
-    env = [
-        {"name": "INPAINT3D_IMAGE_DIGEST", "value": submission.images[image].digest},
-        {"name": "INPAINT3D_CACHE", "value": "/cache"},
-        {"name": "AWS_REGION", "value": body.region},
-    ]
-    if body.endpoint is not None:
-        env.append({"name": "AWS_ENDPOINT_URL", "value": body.endpoint})
-    container: Document = {
-        "image": submission.images[image].image,
-        "imagePullPolicy": body.imagePullPolicy,
-        "command": command,
-        "args": args,
-        "env": env,
-        "resources": resources,
-        "volumeMounts": [{"name": "cache", "mountPath": "/cache"}, {"name": "tmp", "mountPath": "/tmp"}],  # noqa: S108
-        "securityContext": {
-            "runAsNonRoot": True,
-            "runAsUser": 10001,
-            "readOnlyRootFilesystem": True,
-            "allowPrivilegeEscalation": False,
-            "capabilities": {"drop": ["ALL"]},
-            "seccompProfile": {"type": "RuntimeDefault"},
-        },
-    }
-    if body.credentialsSecret is not None:
-        container["envFrom"] = [{"secretRef": {"name": body.credentialsSecret}}]
-    pod: Document = {
-        "container": container,
-        "retryStrategy": {
-            "limit": str(body.retries),
-            "retryPolicy": "Always",
-            "expression": RETRY,
-            "backoff": {"duration": "10s", "factor": "2", "maxDuration": "10m"},
-        },
-    }
-    return pod | ({"tolerations": [dict(t) for t in body.tolerations]} if body.tolerations else {})
-
-
-def _volumes(cluster: ClusterSpec) -> list[Document]:
-    cache = cluster.spec.cache
-    limit = {"sizeLimit": cache.sizeLimit} if cache.sizeLimit else {}
-    claim: Document = {"persistentVolumeClaim": {"claimName": cache.claimName}}
-    return [
-        {"name": "cache", **(claim if cache.claimName else {"emptyDir": limit})},
-        {"name": "tmp", "emptyDir": {}},
-    ]
-
-
-def _await_mask() -> Document:
-    """Waits for a person, who supplies the digest of a mask request when resuming."""
-    supplied: Document = {"name": "mask-request", "valueFrom": {"supplied": {}}}
-    return {"name": AWAIT_MASK, "suspend": {}, "outputs": {"parameters": [supplied]}}
+def _await(external: str) -> Document:
+    """Waits for a person, who supplies the digest of what they made when resuming."""
+    supplied: Document = {"name": external, "valueFrom": {"supplied": {}}}
+    return {"name": AWAIT[external], "suspend": {}, "outputs": {"parameters": [supplied]}}
 
 
 def _record(cluster: ClusterSpec, submission: Submission) -> Document:
     """The exit handler: writes the record of every scene's run to the store, however the Workflow ended."""
     scenes = "{{workflow.parameters.scenes}}"
-    template = _pod(
+    template = write_pod(
         cluster,
         submission,
         RECORDER,
         command=["inpaint3d"],
         args=["record", submission.name, "--store", cluster.spec.store, "--scenes", scenes],
-        resources={"requests": {"cpu": "100m", "memory": "256Mi"}, "limits": {"memory": "1Gi"}},
+        resources={"requests": {"cpu": "100m", "memory": "256Mi"}, "limits": {"cpu": "1", "memory": "1Gi"}},
     )
     return template | {"name": "record", "activeDeadlineSeconds": 3600}

@@ -1,9 +1,9 @@
 """What can be known of manifests without a cluster, in four layers; each finding begins with the layer that made it.
 
-types       hera's models take the document and give it back whole
+types       hera's models take the document and give it back whole; of an account and its role, that it is ours
 references  every template, task and placeholder that is named is there; tasks wait for what they read, in no circle
 contracts   every port of a stage is fed, schema majors agree, the invocation is the shim's, its parameters the stage's
-policy      nobody is root, nothing is written outside volumes, no secret stands in clear, what runs is pinned
+policy      what a careful cluster refuses, and what would be regretted (`emit.policy`)
 """
 
 import graphlib
@@ -18,13 +18,12 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.manifest import first_error, is_compatible
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.orchestrator.emit.argo import LABEL, LEFT_OUT, PRESET, check_types
+from inpaint3d.orchestrator.emit.argo import LABEL, LEFT_OUT, PRESET
+from inpaint3d.orchestrator.emit.documents import Document, check_types
+from inpaint3d.orchestrator.emit.policy import ACCOUNT_KINDS, View, check_policy
 from inpaint3d.orchestrator.parameters import resolve_parameters
 
-Document = dict[str, Any]
 PLACEHOLDER = re.compile(r"\{\{\s*([^{}]+?)\s*\}\}")
-SECRET = re.compile(r"SECRET|TOKEN|PASSWORD|ACCESS_KEY", re.IGNORECASE)
-PINNED = re.compile(r"^sha256:[0-9a-f]{64}$")
 GLOBAL = {"workflow.name", "workflow.status", "workflow.namespace", "workflow.uid"}
 ANY_DIGEST = "sha256:" + "0" * 64
 
@@ -36,39 +35,25 @@ def check(documents: list[Document], pipeline: Pipeline) -> list[str]:
         return findings  # the other layers read what these have not promised
     templates = {d["metadata"]["name"]: d for d in documents if d["kind"] == "WorkflowTemplate"}
     for template in templates.values():
-        view = _View(template)
+        view = View(template)
         findings += [f"references: {f}" for f in _references(view)]
         annotations = template["metadata"].get("annotations", {})
         left_out = set(json.loads(annotations.get(LEFT_OUT, "{}")))
         findings += [f"contracts: {f}" for f in _contracts(view, pipeline.under(annotations.get(PRESET)), left_out)]
-        findings += [f"policy: {f}" for f in _policy(view)]
+        findings += [f"policy: {f}" for f in check_policy(view, documents)]
     for workflow in (d for d in documents if d["kind"] == "Workflow"):
         findings += [f"references: {f}" for f in _workflow(workflow, templates)]
     return findings
 
 
 def _type_problem(document: Document) -> str | None:
+    if document.get("kind") in ACCOUNT_KINDS:
+        return None  # constant but for names, which `_may_report` holds against what uses them
     try:
         check_types(document)
     except ConfigurationError as error:
         return str(error)
     return None
-
-
-class _View:
-    """A WorkflowTemplate by its parts."""
-
-    def __init__(self, document: Document) -> None:
-        self.spec: Document = document["spec"]
-        self.templates: dict[str, Document] = {t["name"]: t for t in self.spec["templates"]}
-
-    def tasks(self) -> Iterator[tuple[str, Document]]:
-        for name, template in self.templates.items():
-            for task in template.get("dag", {}).get("tasks", []):
-                yield name, task
-
-    def containers(self) -> Iterator[tuple[str, Document]]:
-        return ((name, t) for name, t in self.templates.items() if "container" in t)
 
 
 def _names(holder: Document, side: str, kind: str = "parameters") -> set[str]:
@@ -96,7 +81,7 @@ def _workflow(workflow: Document, templates: dict[str, Document]) -> Iterator[st
                 yield f"{at}: scene {scene.get('name')} has {sorted(scene)}; wanted {sorted(wanted)}"
 
 
-def _references(view: _View) -> Iterator[str]:
+def _references(view: View) -> Iterator[str]:
     for role in ("entrypoint", "onExit"):
         if view.spec.get(role) not in view.templates:
             yield f"{role}: no template {view.spec.get(role)}"
@@ -114,7 +99,7 @@ def _references(view: _View) -> Iterator[str]:
                 yield f"{name}: no volume {mount['name']}"
 
 
-def _dag(view: _View, at: str, tasks: list[Document], known: set[str]) -> Iterator[str]:
+def _dag(view: View, at: str, tasks: list[Document], known: set[str]) -> Iterator[str]:
     graph = {t["name"]: set(cast(list[str], t.get("dependencies", []))) for t in tasks}
     if len(graph) != len(tasks):
         yield f"{at}: two tasks have one name"
@@ -133,7 +118,7 @@ def _dag(view: _View, at: str, tasks: list[Document], known: set[str]) -> Iterat
 
 
 def _task(
-    view: _View, at: str, task: Document, before: set[str], tasks: list[Document], known: set[str]
+    view: View, at: str, task: Document, before: set[str], tasks: list[Document], known: set[str]
 ) -> Iterator[str]:
     callee = view.templates.get(task.get("template", ""))
     if callee is None:
@@ -157,7 +142,7 @@ def _task(
                     yield f"{at}: nothing is called {name}"
 
 
-def _contracts(view: _View, pipeline: Pipeline, left_out: set[str]) -> Iterator[str]:
+def _contracts(view: View, pipeline: Pipeline, left_out: set[str]) -> Iterator[str]:
     sides = {n: t.get("metadata", {}).get("annotations", {}) for n, t in view.templates.items()}
     for name, template in view.containers():
         if name in pipeline.nodes:
@@ -201,33 +186,3 @@ def _stage_template(name: str, template: Document, annotations: dict[str, str], 
     for port, declared in stage.spec.inputs.items():
         if not declared.optional and port not in invocation.inputs:
             yield f"{name}: its invocation leaves the port {port} empty"
-
-
-def _policy(view: _View) -> Iterator[str]:
-    for name, template in view.containers():
-        container: Document = template["container"]
-        security: Document = container.get("securityContext", {})
-        wanted = {"runAsNonRoot": True, "readOnlyRootFilesystem": True, "allowPrivilegeEscalation": False}
-        yield from (f"{name}: {k} is not {v}" for k, v in wanted.items() if security.get(k) is not v)
-        if security.get("capabilities", {}).get("drop") != ["ALL"]:
-            yield f"{name}: does not drop all capabilities"
-        if security.get("seccompProfile", {}).get("type") != "RuntimeDefault":
-            yield f"{name}: seccompProfile is not RuntimeDefault"
-        if not container.get("command"):
-            yield f"{name}: has no command; Argo would have to ask the registry for it"
-        if "memory" not in container.get("resources", {}).get("limits", {}):
-            yield f"{name}: has no memory limit"
-        for variable in container.get("env", []):
-            if SECRET.search(variable["name"]) and "value" in variable:
-                yield f"{name}: {variable['name']} stands in clear; refer to a Secret"
-            if variable["name"] == "INPAINT3D_IMAGE_DIGEST" and not PINNED.match(variable.get("value", "")):
-                yield f"{name}: {variable.get('value')} is no image digest"
-        if "INPAINT3D_IMAGE_DIGEST" not in {v["name"] for v in container.get("env", [])}:
-            yield f"{name}: does not say which image's digest its keys are made with"
-        for artifact in template.get("inputs", {}).get("artifacts", []):
-            if artifact.get("mode", 0) & 0o444 != 0o444:
-                yield f"{name}: {artifact['name']} cannot be read by a stage that is not root; set mode 0444"
-        if "activeDeadlineSeconds" not in template:
-            yield f"{name}: has no deadline"
-        if "retryStrategy" not in template:
-            yield f"{name}: a pod that is lost is not tried again"

@@ -24,8 +24,9 @@ from typing import Any
 
 from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, RetryableError, from_os_error
 from inpaint3d.contracts.kit.code import IMAGE_DIGEST
+from inpaint3d.contracts.kit.confine import die_with_parent
 from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
-from inpaint3d.contracts.kit.shim import GRACE_S, die_with_parent
+from inpaint3d.contracts.kit.shim import GRACE_S
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.cluster import Image
@@ -50,13 +51,18 @@ class ContainerRunner:
     images: Mapping[str, Image]
 
     def command(self, spec: StageSpec, store: Store, key: Digest, request: Path) -> list[str]:
+        """The module that starts the image: this one."""
         image = self.images[spec.spec.image]
         memory = spec.spec.resources.limits.get("memory")
         return [
-            sys.executable, "-m", __name__, "--engine", self.engine, "--image", image.image, "--digest", image.digest,
+            __spec__.name, "--engine", self.engine, "--image", image.image, "--digest", image.digest,
             "--store", store.place, "--key", key, "--invocation", str(request),
             *(["--memory", str(memory_bytes(memory))] if memory else []),
         ]  # fmt: skip
+
+    def environment(self) -> dict[str, str]:
+        """All of it: the engine has its own variables, and passes none of them on."""
+        return dict(os.environ)
 
 
 def find_engine(given: str | None) -> str:

@@ -101,7 +101,7 @@ def distribution_of(module: str) -> str:
 def list_code(distribution: str) -> Listing:
     """A distribution's own source, that of ours which it requires, and the versions of everybody else's."""
     listing: Listing = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
-    for name in _find_requirements(distribution):
+    for name in find_requirements(distribution):
         if name.startswith(PREFIX):
             listing |= {f"{name}/{path}": digest for path, digest in digest_sources(_find_project(name)).items()}
         else:
@@ -112,17 +112,20 @@ def list_code(distribution: str) -> Listing:
 @functools.cache
 def digest_sources(project: Path) -> dict[str, Digest]:
     """Path -> digest of the source files of a package's folder: of Python what it runs, of all others the bytes."""
-    return {
-        path.relative_to(project).as_posix(): digest_python(path) if path.suffix == ".py" else file_digest(path)
-        for path in _find_sources(project)
-    }
+    found: dict[str, Digest] = {}
+    for inside in sorted(_find_sources(project)):
+        path = project / inside
+        found[inside] = digest_python(path) if path.suffix == ".py" else file_digest(path)
+    return found
 
 
-def _find_sources(project: Path) -> Iterator[Path]:
-    for path in sorted(p for folder in SOURCE_FOLDERS for p in (project / folder).rglob("*")):
-        parts = path.relative_to(project).parts
-        if path.suffix in SOURCE_SUFFIXES and not any(p.startswith(".") or p == "__pycache__" for p in parts):
-            yield path
+def _find_sources(project: Path) -> Iterator[str]:
+    """Paths below the project, with slashes. By `os.walk`: each stage's process does this."""
+    for source in SOURCE_FOLDERS:
+        for folder, inner, files in os.walk(project / source):
+            inner[:] = [name for name in inner if not name.startswith(".") and name != "__pycache__"]
+            inside = folder[len(str(project)) + 1 :]
+            yield from (f"{inside}/{n}" for n in files if n.endswith(SOURCE_SUFFIXES) and not n.startswith("."))
 
 
 def _find_project(distribution: str) -> Path:
@@ -137,7 +140,7 @@ def _find_project(distribution: str) -> Path:
 
 
 @functools.cache
-def _find_requirements(distribution: str) -> frozenset[str]:
+def find_requirements(distribution: str) -> frozenset[str]:
     """A distribution and all that it requires, directly or not, as far as it is installed here."""
     found: set[str] = set()
     waiting = [distribution]
@@ -160,6 +163,16 @@ def _find_requirements(distribution: str) -> frozenset[str]:
 
 @functools.cache
 def _read_metadata(distribution: str) -> tuple[str, tuple[str, ...]]:
-    """Version and requirements, read once: stages share most of what they depend on, and parsing is slow."""
-    metadata = importlib.metadata.metadata(distribution)
-    return metadata["Version"], tuple(metadata.get_all("Requires-Dist") or ())
+    """Version and requirements, read once: stages share most of what they depend on.
+
+    Line by line, up to the description: the e-mail parser of `importlib.metadata` takes ten times as long.
+    """
+    text = importlib.metadata.distribution(distribution).read_text("METADATA") or ""
+    version, required = "", list[str]()
+    for line in text.partition("\n\n")[0].splitlines():
+        name, _, value = line.partition(": ")
+        if name == "Version":
+            version = value.strip()
+        elif name == "Requires-Dist":
+            required.append(value.strip())
+    return version, tuple(required)

@@ -112,6 +112,7 @@ class Context:
     def __init__(self, *, seed: int, device: str, threads: int, work: Path, emit: Emit) -> None:
         self.seed, self.device, self.threads, self.work = seed, device, threads, work
         self.non_finite: dict[str, int] = {}
+        self.doubts: list[str] = []
         self.health: dict[str, float] = {}
         """Counters of a fit by name; the sidecar has them beside the times."""
         self.stopping = False
@@ -134,6 +135,11 @@ class Context:
     def log(self, message: str, **values: Any) -> None:
         """Tell something that a person may want to know."""
         self._emit("log", message=message, **values)
+
+    def doubt(self, message: str) -> None:
+        """Say why the result cannot be right, with figures and the repair; the run stops unless somebody insists."""
+        self.doubts.append(message)
+        self.log(f"doubtful: {message}")
 
     def record(self, series: str, **row: float | str) -> None:
         """Append a row with the wall and CPU seconds so far to a series of the sidecar.
@@ -175,6 +181,7 @@ class Context:
             "peak_memory_bytes": peak * 1024,
             "threads": self.threads,
             "non_finite": self.non_finite,
+            "doubts": self.doubts,
             "health": self.health,
             "series": self._read_series(),
         }

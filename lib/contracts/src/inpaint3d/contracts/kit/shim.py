@@ -9,7 +9,6 @@ goes to standard error.
 
 import argparse
 import contextlib
-import ctypes
 import datetime
 import importlib
 import json
@@ -24,23 +23,33 @@ from typing import Any, TextIO, TypeVar
 
 from pydantic import ValidationError
 
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, find_os_error, from_os_error
+from inpaint3d.contracts.errors import (
+    ConfigurationError,
+    DoubtfulError,
+    Inpaint3dError,
+    InterruptedRun,
+    find_os_error,
+    from_os_error,
+)
 from inpaint3d.contracts.kit.blame import find_fault
-from inpaint3d.contracts.kit.code import code_digest, save_code
+from inpaint3d.contracts.kit.code import code_digest, distribution_of, find_requirements, save_code
+from inpaint3d.contracts.kit.confine import confine, die_with_parent
 from inpaint3d.contracts.kit.context import Context, Emit, Inputs, Outputs
 from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.kit.keys import key_components, run_key
 from inpaint3d.contracts.kit.provenance import describe_provenance
 from inpaint3d.contracts.models.base import Digest
-from inpaint3d.contracts.models.manifest import first_error
+from inpaint3d.contracts.models.manifest import Manifest, first_error
 from inpaint3d.contracts.models.stage import StageSpec, load_stage
 from inpaint3d.contracts.store import Record, Store, open_store
 
 T = TypeVar("T")
 
 STAGE_YAML = "INPAINT3D_STAGE_YAML"
+LAST_WORDS = "INPAINT3D_LAST_WORDS"
+"""A file to leave the error in that a stage ends with: of a pod, what its cluster shows beside the exit code."""
+LONGEST_WORDS = 4096  # bytes that Kubernetes keeps
 GRACE_S = 10.0
-PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
@@ -73,6 +82,13 @@ def serve(module: str) -> None:
 
 def _leave_at_once(_number: int, _frame: object) -> None:
     sys.exit(InterruptedRun.exit_code)
+
+
+def prepare() -> None:
+    """Do once, for all stages that are forked, what each would do: build models, read what packages require."""
+    for model in (Invocation, Manifest, Record, StageSpec):
+        model.model_rebuild()
+    find_requirements(distribution_of(__name__.partition(".kit")[0]))
 
 
 def stage_spec(module: str) -> StageSpec:
@@ -202,10 +218,13 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
 
     try:
         invocation = load_invocation(invocation_file)
+        confine()
         if invocation.die_with_parent:
             die_with_parent()
         announce_threads(invocation.threads)
         record = execute(module, open_store(place), invocation, events)
+        if record.doubts and not invocation.accept_doubtful:
+            raise DoubtfulError(record.doubts)
         if outputs is not None:
             _write_outputs(outputs, stage_spec(module), record)
     except Inpaint3dError as error:
@@ -221,15 +240,27 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
     if trace is not None:
         sys.stderr.write(trace)
     say("error", kind=failure.kind, message=str(failure), exit_code=failure.exit_code)
+    leave_last_words(failure)
     return failure.exit_code
+
+
+def leave_last_words(error: Inpaint3dError) -> None:
+    """Leave an error's message where who runs the container looks for it; nothing where that cannot be written."""
+    if place := os.environ.get(LAST_WORDS):
+        with contextlib.suppress(OSError):
+            Path(place).write_bytes(f"{error.kind}: {error}".encode()[:LONGEST_WORDS])
 
 
 def announce_threads(count: int) -> None:
     """Tell native libraries, which read it when they are first imported, how many threads they may have."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = str(count)
+    os.environ.update(thread_environment(count))
     # Threads that wait by spinning take cores from whoever else needs them, themselves included.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def thread_environment(count: int) -> dict[str, str]:
+    """What native libraries read of how many threads they may have."""
+    return dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), str(count))
 
 
 def _write_outputs(folder: Path, spec: StageSpec, record: Record) -> None:
@@ -273,9 +304,3 @@ def _stop_on_signals(ctx: Context) -> Generator[None]:
         timer.cancel()
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def die_with_parent() -> None:
-    """Ask Linux for SIGTERM when the process that started this one dies, so that a kill leaves no orphan at work."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -44,4 +44,4 @@ def _check_inside(path: str) -> str:
 class Closed(BaseModel):
     """A model that refuses fields it does not know (a typo is an error) and never changes."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False, defer_build=True)

@@ -41,12 +41,22 @@ class ClusterBody(Closed):
         description="Secret with AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; none where pods have a role",
     )
     serviceAccountName: Name = "inpaint3d"
+    createServiceAccount: bool = Field(
+        default=True,
+        description="write the service account, and a role that lets its pods report to Argo; false: they are there",
+    )
     imagePullPolicy: Literal["Always", "IfNotPresent", "Never"] = "IfNotPresent"
     priorityClassName: Name | None = None
     nodeSelector: dict[str, str] = {}
     tolerations: tuple[dict[str, Any], ...] = ()
     gpu: Gpu = Gpu()
     cache: Cache = Cache()
+    largestCpuRequest: Quantity = Field(
+        default="1500m", description="no pod asks for more: two cores of a node are less what the node itself needs"
+    )
+    secondsKept: Annotated[int, Field(ge=0)] = Field(
+        default=7 * 24 * 3600, description="how long a Workflow that has ended stays, with its failed pods"
+    )
     retries: Annotated[int, Field(ge=0)] = Field(default=3, description="of a pod that was lost")
     parallelism: Annotated[int, Field(ge=1)] = Field(default=50, description="pods of one Workflow at a time")
     scenesPerWorkflow: Annotated[int, Field(ge=1)] = 20
@@ -94,11 +104,22 @@ class Submission(Closed):
     preset: str | None
     overrides: dict[str, dict[str, Any]] = {}
     compare: bool = Field(default=False, description="also what the result is compared with")
+    want: tuple[str, ...] = Field(default=(), description="nodes that are wanted besides the pipeline's own")
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"
     stub: bool = False
     awaitMasks: bool = Field(
         default=False, description="stop before mask-authoring until somebody supplies a mask request"
     )
+    acceptDoubtful: bool = Field(default=False, description="go on where a result cannot be right")
+    awaitPaintings: bool = Field(
+        default=False, description="stop before view-completion until somebody supplies painted views"
+    )
     images: dict[str, Image]
     scenes: tuple[Scene, ...]
+
+    @property
+    def awaited(self) -> tuple[str, ...]:
+        """The externals that somebody supplies while the scene waits."""
+        asked = {"mask-request": self.awaitMasks, "painted-views": self.awaitPaintings}
+        return tuple(external for external, waits in asked.items() if waits)

@@ -14,9 +14,10 @@ from pydantic import Field, StringConstraints
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.base import Closed, PortName
-from inpaint3d.contracts.models.documents import Location, line_of, load_document
+from inpaint3d.contracts.models.documents import line_of, load_document
 from inpaint3d.contracts.models.manifest import is_compatible, split_schema
 from inpaint3d.contracts.models.stage import Name, StageSpec, load_stage
+from inpaint3d.contracts.models.untrusted import Location
 
 Reference = Annotated[
     str,

@@ -21,10 +21,19 @@ _FACTORS = {"m": 1e-3, "Ki": 2**10, "Mi": 2**20, "Gi": 2**30, "Ti": 2**40}
 
 def memory_bytes(quantity: Quantity) -> int:
     """`8Gi` -> 8589934592."""
+    return int(_read_quantity(quantity))
+
+
+def count_cpus(quantity: Quantity) -> float:
+    """`1500m` -> 1.5."""
+    return _read_quantity(quantity)
+
+
+def _read_quantity(quantity: Quantity) -> float:
     for suffix, factor in _FACTORS.items():
         if quantity.endswith(suffix):
-            return int(float(quantity.removesuffix(suffix)) * factor)
-    return int(float(quantity))
+            return float(quantity.removesuffix(suffix)) * factor
+    return float(quantity)
 
 
 class InputPort(Closed):

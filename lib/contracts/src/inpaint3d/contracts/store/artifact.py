@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ArtifactError, ConfigurationError
 from inpaint3d.contracts.models.base import Closed, Digest
-from inpaint3d.contracts.models.canonical import canonical_json, digest_of, file_digest
+from inpaint3d.contracts.models.canonical import canonical_json, digest_of_chunks, file_digest
 from inpaint3d.contracts.models.manifest import MANIFEST, Manifest, first_error, is_compatible, read_metadata
 
 M = TypeVar("M", bound=Closed)
@@ -42,10 +42,23 @@ class Record(Closed):
     provenance: dict[str, Any]
     timings: dict[str, Any]
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the result cannot be right, as its stage measured; empty where nothing speaks against it."""
+        return tuple(self.timings.get("doubts", ()))
+
     def encode(self) -> bytes:
         """The file's bytes: the record's canonical JSON, with the digest of all the rest in it."""
-        body = self.model_dump(mode="json")
-        return canonical_json({"digest": digest_of(body), **body})
+        return self._encode(canonical_json(self.components))
+
+    def _encode(self, components: bytes) -> bytes:
+        """`encode`, with the components as they are encoded: of a record they are the most, and hashed for its key too.
+
+        Keys are sorted, so that the components come first, the digest second.
+        """
+        rest = canonical_json(self.model_dump(mode="json", exclude={"components"}))[1:]
+        digest = digest_of_chunks([b'{"components":', components, b",", rest])
+        return b'{"components":%b,"digest":"%b",%b' % (components, digest.encode(), rest)
 
     @classmethod
     def decode(cls, data: bytes, key: Digest) -> "Record":
@@ -54,14 +67,15 @@ class Record(Closed):
             body = json.loads(data)
             body.pop("digest")
             record = cls.model_validate(body)
-            written = record.encode()
+            components = canonical_json(record.components)
+            written = record._encode(components)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, ConfigurationError) as error:
             raise ArtifactError("not a record that this version writes") from error
         if written != data:
             raise ArtifactError("changed since it was written: it does not hash to its digest")
         if record.key != key:
             raise ArtifactError(f"the record of another key, {record.key}")
-        if digest_of(record.components) != key:
+        if digest_of_chunks([components]) != key:
             raise ArtifactError("its components do not give its key")
         return record
 

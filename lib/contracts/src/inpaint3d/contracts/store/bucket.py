@@ -36,6 +36,9 @@ PART = 8 << 20  # bytes of one part of a multipart upload; larger files are sent
 MAX_RETRIES = 6
 GIVE_UP_AFTER = timedelta(seconds=120)
 
+NO_BUCKET = "NoSuchBucket"
+"""S3's own word, which the client library passes on in its text alone."""
+
 
 class BucketStore(Store):
     """A store at `s3://BUCKET/PREFIX`. Locks hold within one machine; between machines the commit decides."""
@@ -207,6 +210,8 @@ class BucketStore(Store):
         except (PermissionDeniedError, UnauthenticatedError) as error:
             raise StorageError(f"no access to {self.place} ({_first_line(error)}); check AWS_ACCESS_KEY_ID") from error
         except BaseError as error:
+            if NO_BUCKET in str(error):
+                raise StorageError(f"there is no bucket {self.place}; make it, or give another --store") from error
             raise RetryableError(f"{self.place} does not answer ({_first_line(error)}); run again") from error
 
 

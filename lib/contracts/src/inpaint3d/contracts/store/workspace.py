@@ -8,6 +8,7 @@ import secrets
 import shutil
 import stat
 import sys
+import time
 from collections.abc import Generator
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from inpaint3d.contracts.store.owner import Owner, parse_owner, this_process
 
 FOLDERS = ("objects", "work", "tmp", "locks", "quarantine")
 OWNER = ".owner"
+LEASE_S = 7 * 24 * 3600.0
+"""What a process of another machine has left untouched for this long is nobody's: a stage writes every few seconds."""
 _NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO)
 _NO_WRITING = (errno.EROFS, errno.EACCES, errno.EPERM)
 
@@ -107,11 +110,11 @@ class Workspace:
         self.discard(self._work_path(key))
 
     def list_litter(self) -> list[Path]:
-        """What no result needs: checkpoints but those that another machine may be at work on, and quarantine."""
+        """What no result needs: quarantine, and checkpoints but those that another machine may be at work on."""
         found = [*_list(self.root / "quarantine")]
         for path in _list(self.root / "work"):
             owner = _read_owner(path.with_suffix(OWNER))
-            if owner is None or owner.is_gone or owner.host == this_process().host:
+            if owner is None or owner.host == this_process().host or _is_abandoned(owner, path):
                 found.append(path)
         return found
 
@@ -173,7 +176,7 @@ class Workspace:
         """Remove what processes that are gone left in tmp/."""
         for path in _list(self.root / "tmp"):
             owner = parse_owner(path.name.partition("-")[0])
-            if owner is not None and owner.is_gone:
+            if owner is not None and _is_abandoned(owner, path):
                 remove(path)
 
 
@@ -201,6 +204,16 @@ def fsync(path: Path) -> None:
 
 def _list(folder: Path) -> list[Path]:
     return sorted(folder.iterdir()) if folder.is_dir() else []
+
+
+def _is_abandoned(owner: Owner, path: Path) -> bool:
+    """Whether nobody is at work on a file or folder: its owner is dead, or, where that cannot be told, long silent."""
+    if owner.is_gone:
+        return True
+    if owner.host == this_process().host:
+        return False
+    newest = max((p.lstat().st_mtime for p in (path, *path.rglob("*"))), default=0.0)
+    return time.time() - newest > LEASE_S
 
 
 def _read_owner(path: Path) -> Owner | None:

@@ -335,7 +335,7 @@ def adam_step(
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
     how: AdamStep,
-) -> int:
+) -> int | Tensor:
     """`reference.adam_step` in one pass; denormal moments become zero.
 
     param, m and v that are not contiguous go to the reference.

@@ -247,12 +247,12 @@ def adam_step(
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
     how: AdamStep,
-) -> int:
+) -> int | Tensor:
     """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v.
 
-    Numbers that the step would not leave finite are left alone, moments too: how many is returned. That is where the
-    gradient is not finite, where its square overflows (a second moment that is infinite stops a number for good), and
-    where the number or its moments are not finite already.
+    Numbers that the step would not leave finite are left alone, moments too: how many is returned, as a tensor, since
+    whoever reads it waits for the device. That is where the gradient is not finite, where its square overflows (a
+    second moment that is infinite stops a number for good), and where the number or its moments are not finite already.
     """
     step, lr, beta1, beta2, eps, decay, sparse = how
     wanted = grad != 0 if sparse else torch.ones_like(grad, dtype=torch.bool)
@@ -264,4 +264,4 @@ def adam_step(
     finite = torch.isfinite(second) & torch.isfinite(to)
     for part, moved in ((param, to), (m, first), (v, second)):
         part.copy_(torch.where(wanted & finite, moved, part))
-    return int((wanted & ~finite).sum())
+    return (wanted & ~finite).sum()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.report.charts import Line, line_chart
-from inpaint3d.report.page import RUN_MARKER, render
+from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
 from inpaint3d.stages.evaluation.scores import KINDS, find_best
 
 STOPS = (0.25, 0.5, 0.75)
@@ -47,7 +47,7 @@ class Report:
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Render the page; pictures are embedded, and one line marks where the run's times go."""
+    """Render the page; pictures are embedded, and two lines mark where the run's doubts and times go."""
     page = render(
         "inpaint3d.stages.evaluation",
         "report.html.j2",
@@ -59,6 +59,7 @@ def write_report(path: Path, report: Report) -> None:
         stop_heads=["field", *(f"at {share:.0%} of the steps" for share in STOPS), "at the end"],
         stopping=[row for curve in report.curves if (row := cost_of_stopping_early(curve)) is not None],
         embedded=_embed,
+        doubt_marker=DOUBT_MARKER,
         run_marker=RUN_MARKER,
     )
     path.write_text(page, encoding="utf-8")

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from inpaint3d.contracts.models.base import Closed, Positive
+from inpaint3d.radiance.architecture import Architecture
 from inpaint3d.radiance.fitting import AnnealSteps, LossWeights, Optimizer, Warmup, Weight
-from inpaint3d.radiance.sizing import Architecture
 from inpaint3d.stages.joint_optimization.estimators import READS, AnyEstimator
 from inpaint3d.stages.joint_optimization.estimators.completed_views import CompletedViewsEstimator
 

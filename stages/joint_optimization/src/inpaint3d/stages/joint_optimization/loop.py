@@ -98,7 +98,7 @@ class Problem:
         how its ranks share out, never shows.
         """
         config, weights = self.config, self.config.loss_weights
-        rng, generator = step_generators(self.seed * ranks.world_size + ranks.rank, step)
+        rng, generator = step_generators(self.seed * ranks.world_size + ranks.rank, step, device=self.field.device)
         distilled, weight, figures = self._distil(step, rng, generator)
         batch = self.bank.draw(
             config.rays // ranks.world_size,

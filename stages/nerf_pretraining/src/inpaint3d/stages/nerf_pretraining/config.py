@@ -8,8 +8,8 @@ from typing import Annotated
 from pydantic import Field
 
 from inpaint3d.contracts.models.base import Closed, Positive
+from inpaint3d.radiance.architecture import Architecture
 from inpaint3d.radiance.fitting import LossWeights, Optimizer
-from inpaint3d.radiance.sizing import Architecture
 
 Count = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, Field(ge=0)]

@@ -52,7 +52,7 @@ def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, c
     A step that is not finite is traced to where it began, and the fit goes back as often as the parameters allow.
     """
     optimizer = Adam.of(field, config.optimizer, config.loss_weights)
-    generator = torch.Generator().manual_seed(ctx.seed)
+    generator = torch.Generator(field.device).manual_seed(ctx.seed)
     tally, health = Tally(), Health()
     path = ctx.work / CHECKPOINT
 
@@ -123,7 +123,7 @@ def step_terms(
         toward = known.sight_lines.draw(config.line_of_sight_rays, generator)
         rays = join_rays([rays, toward.rays])
     # Random background: a field that stays transparent cannot predict it, so that what the photos show becomes opaque.
-    background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
+    background = torch.rand(len(rays.origins), 3, generator=generator, device=generator.device).to(target)
     anneal = proposal_anneal(step, how.proposal_anneal_steps) if how.proposal_anneal_steps else 1.0
     rendering = render(
         field, rays, generator=generator, background=background, anneal=anneal, near_gradient=how.near_gradient

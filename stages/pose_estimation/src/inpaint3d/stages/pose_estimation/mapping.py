@@ -97,16 +97,3 @@ def make_rigid(world_from_cam: ArrayLike) -> pycolmap.Rigid3d:
     pose = np.asarray(world_from_cam, np.float64)
     u, _, vt = np.linalg.svd(pose[:, :3])
     return pycolmap.Rigid3d(np.concatenate([u @ vt, pose[:, 3:]], 1))
-
-
-def two_view_kinds(database: Path) -> tuple[int, int, float]:
-    """Verified pairs, how many of them a turn on the spot (or a plane) explains, and their median inliers."""
-    with pycolmap.Database.open(database) as db:
-        _, pairs = db.read_two_view_geometries()
-    turned = {
-        pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
-        pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC,
-    }
-    inliers = [len(p.inlier_matches) for p in pairs if len(p.inlier_matches)]
-    kinds = [p.config in turned for p in pairs if len(p.inlier_matches)]
-    return len(inliers), sum(kinds), float(np.median(inliers)) if inliers else 0.0

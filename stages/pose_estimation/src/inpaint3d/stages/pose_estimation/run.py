@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
@@ -29,10 +30,12 @@ from inpaint3d.scene.capture_io import (
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.known import known_lens, take_other_poses
 from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
 from inpaint3d.stages.pose_estimation.normalise import Normalisation, check_reach, normalise
-from inpaint3d.stages.pose_estimation.solve import Solved, known_lens, link_pictures, solve
+from inpaint3d.stages.pose_estimation.scale import find_scale
+from inpaint3d.stages.pose_estimation.solve import Solved, link_pictures, solve
 from inpaint3d.stages.pose_estimation.truth import Registered, register
 from inpaint3d.stages.pose_estimation.undistort import Undistorter
 
@@ -65,6 +68,7 @@ def write_capture(
     tests = choose_test_views(len(taken), config)
     colours = np.zeros((len(model.track_view), 3))
     track_xy = np.zeros((len(model.track_view), 2))
+    usual = describe_lens(model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))], solved)
     frames: list[PosedFrame] = []
     for view, frame in enumerate(taken):
         ctx.progress(view, len(taken), "undistorting")
@@ -79,21 +83,23 @@ def write_capture(
                 split="test" if view in tests else "train", relative_exposure=exposures[view],
                 mask=None if mask is None else lens.mask(mask),
                 valid=lens.combine_valid(read_captured_valid(capture, frame)),
+                lens=None if (own := describe_lens(lens.lens, solved)) == usual else own,
             )
         )  # fmt: skip
     write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
-    usual = model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))]
     back = solved.local_from_source.then(world.normalised_from_source).inverse()
+    scale = find_scale(capture, taken, solved.model.moved(solved.local_from_source.inverse()), config, ctx)
     outputs.write(
         "posed-capture",
         PosedCapture(
             frames=tuple(frames),
             ordered=capture.metadata.ordered,
-            lens=LensModel(
-                model=usual.model_name, params=tuple(float(p) for p in usual.params), evidence=solved.lens_evidence
-            ),
+            lens=usual,
             registration=solved.registration,
             source_from_normalised_scale=back.scale,
+            scale=None
+            if scale is None
+            else scale.model_copy(update={"metres_per_unit": scale.metres_per_unit * back.scale}),
             source_from_normalised=as_pose(back.matrix),
             centre_depth=world.centre_depth,
             up_evidence=world.up_evidence,
@@ -112,6 +118,8 @@ def write_truth(
 ) -> None:
     """Truth views in the same world, undistorted alike; none is written where none can be placed."""
     given = truth.metadata.frames
+    if solved.other_order:
+        given = take_other_poses(given)
     if solved.source == "known" and all(f.camera is not None for f in given):
         model, placed = _known_truth(solved, given)
     else:
@@ -146,6 +154,11 @@ def write_truth(
             mean_reprojection_error_px=float(np.mean([p.error_px for p in placed.values()])),
         ),
     )
+
+
+def describe_lens(lens: pycolmap.Camera, solved: Solved) -> LensModel:
+    """A lens as the artifact has it."""
+    return LensModel(model=lens.model_name, params=tuple(float(p) for p in lens.params), evidence=solved.lens_evidence)
 
 
 def choose_test_views(count: int, config: Config) -> set[int]:

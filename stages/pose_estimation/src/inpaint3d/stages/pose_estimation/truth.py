@@ -31,16 +31,21 @@ class Registered:
 
 
 def lens_for(frame: CapturedFrame, model: Model) -> int:
-    """The number of the capture's lens that took a truth frame: that of its size."""
-    for number in sorted(set(model.view_lens), key=model.view_lens.count, reverse=True):
-        lens = model.lenses[number]
-        if (lens.width, lens.height) == (frame.width, frame.height):
-            return number
+    """The number of the capture's lens that took a truth frame: of its size and, as far as EXIF says, focal length."""
+    fitting = [n for n in set(model.view_lens) if _size(model.lenses[n]) == (frame.width, frame.height)]
+    if fitting and (focal := frame.exif.focal_px):
+        return min(fitting, key=lambda n: (abs(np.log(focal / model.lenses[n].mean_focal_length())), n))
+    if fitting:
+        return max(fitting, key=lambda n: (model.view_lens.count(n), -n))
     sizes = sorted({f"{c.width}x{c.height}" for c in model.lenses.values()})
     raise BadInputError(
         f"truth view {frame.name} is {frame.width}x{frame.height} but the capture's frames are {', '.join(sizes)}; "
         "give truth views as the same camera took them"
     )
+
+
+def _size(lens: pycolmap.Camera) -> tuple[int, int]:
+    return lens.width, lens.height
 
 
 def register(

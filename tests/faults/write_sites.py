@@ -1,0 +1,133 @@
+"""Every place where a run writes, one after another, told that the disk is full, or fails, or is read-only.
+
+    python -m tests.faults.write_sites [--errors ENOSPC EIO EROFS EMFILE] [--first 1] [--last 1000]
+
+The n-th writing call of a process (a file opened for writing, a folder made, something renamed, linked or removed) in
+the store or the run's folder raises the error, for n = 1, 2, ... until a run has no n-th one. Each has to end with the
+code of that error, or well where what could not be written is needed by nobody; the same command without it has to
+succeed, and everything that can be seen has to be whole.
+"""
+
+import argparse
+import errno
+import itertools
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.overhead import write_ours
+
+from inpaint3d.contracts.kit.invocation import Invocation
+from inpaint3d.contracts.models.artifacts import Source
+from inpaint3d.contracts.store import FolderStore
+from inpaint3d.orchestrator.housekeeping import find_damage
+
+WIDTH = 1
+CODES = {"ENOSPC": 5, "EIO": 5, "EROFS": 5, "EMFILE": 75}
+FIRED = "a fault was told of"
+# Python imports it in each process that has its folder on its path. Stages do not inherit the variable.
+SITECUSTOMIZE = f"""
+import os, sys
+if fault := os.environ.get("FAULT"):
+    at, number = map(int, fault.split(":"))
+    seen = 0
+    def hook(event, arguments):
+        global seen
+        if event == "open":
+            writes = isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+        else:
+            writes = event in ("os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.symlink", "os.chmod")
+        if writes and any(part in str(arguments[0]) for part in ("/store/", "/runs/")):
+            seen += 1
+            if seen == at:
+                sys.stderr.write("{FIRED}\\n")
+                raise OSError(number, os.strerror(number), str(arguments[0]))
+    sys.addaudithook(hook)
+"""
+Command = tuple[list[str], dict[str, str], Path]
+"""Line, environment, working folder."""
+
+
+def write_run(folder: Path) -> Command:
+    """A run of a few no-op stages: the orchestrator's own writes."""
+    system = write_ours(folder, WIDTH)
+    (folder / "stage" / "src" / "sitecustomize.py").write_text(SITECUSTOMIZE)
+    line = [*system.command, "--store", str(folder / "store"), "--runs-dir", str(folder / "runs")]
+    return line, system.environment, folder
+
+
+def write_stage(folder: Path) -> Command:
+    """A no-op stage by itself: the writes of a stage."""
+    _, environment, _ = write_run(folder)
+    store = FolderStore(folder / "store")
+    private = store.private_folder()
+    (private / "raw").mkdir()
+    (private / "raw" / "a.txt").write_text("nothing")
+    digest = store.put(private, "source", Source(name="a", kind="folder"))
+    invocation = Invocation(parameters={"number": 0}, inputs={"source": [digest]})
+    (folder / "invocation.json").write_text(invocation.model_dump_json())
+    line = [sys.executable, "-m", "inpaint3d.stages.noop", "run", "--store", str(folder / "store")]
+    return [*line, "--invocation", str(folder / "invocation.json")], environment, folder
+
+
+KINDS: dict[str, Callable[[Path], Command]] = {"run": write_run, "stage": write_stage}
+
+
+def try_site(kind: str, error: str, at: int, folder: Path) -> tuple[bool, list[str]]:
+    """Whether there is an n-th write, and what went wrong when it failed."""
+    line, environment, folder = KINDS[kind](folder)
+
+    def start(**extra: str) -> subprocess.CompletedProcess[str]:
+        variables = {**environment, **extra}
+        return subprocess.run(line, cwd=folder, env=variables, capture_output=True, text=True, check=False)
+
+    number = getattr(errno, error)
+    harmed = start(FAULT=f"{at}:{number}")
+    if FIRED not in harmed.stderr:
+        return False, []
+    faults: list[str] = []
+    if harmed.returncode not in (0, CODES[error]):
+        faults.append(f"exit {harmed.returncode}: {harmed.stderr[-600:]}")
+    if (again := start()).returncode != 0:
+        faults.append(f"and then, exit {again.returncode}: {again.stderr[-600:]}")
+    faults += [damage.what for damage in find_damage(FolderStore(folder / "store"))]
+    return True, [f"{kind}, {error} at write {at}: {fault}" for fault in faults]
+
+
+def try_all(kind: str, error: str, folder: Path, first: int = 1, last: int = 1000) -> tuple[int, list[str]]:
+    """Sites that were tried, and what went wrong."""
+    faults: list[str] = []
+    for at in itertools.count(first):
+        place = folder / "site"
+        place.mkdir()
+        there, found = try_site(kind, error, at, place)
+        shutil.rmtree(place)
+        faults += found
+        if not there or at == last:
+            return at - first + there, faults
+    raise AssertionError("count() does not end")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--errors", nargs="+", default=list(CODES), choices=list(CODES))
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--last", type=int, default=1000)
+    given = parser.parse_args()
+    counts: dict[str, int] = {}
+    faults: list[str] = []
+    for kind in KINDS:
+        for error in given.errors:
+            with tempfile.TemporaryDirectory() as folder:
+                counts[f"{kind} {error}"], found = try_all(kind, error, Path(folder), given.first, given.last)
+            faults += found
+    sys.stdout.write(json.dumps({"write sites": counts, "faults": faults}, indent=2) + "\n")
+    sys.exit(bool(faults))
+
+
+if __name__ == "__main__":
+    main()
