@@ -3,7 +3,6 @@
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -137,10 +136,8 @@ def _frames() -> Iterator[FrameType]:
 def _name_function() -> str:
     """The innermost function of ours, or the node of the backward pass."""
     node = torch._C._current_autograd_node()
-    own = str(Path("inpaint3d"))
     for frame in _frames():
-        path = Path(frame.f_code.co_filename)
-        if own in path.parts and path != Path(__file__):
-            where = f"{frame.f_code.co_name} ({path.name}:{frame.f_lineno})"
-            return where if node is None else f"{where}, backward"
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.startswith("inpaint3d.") and module != __name__:
+            return f"{module.removeprefix('inpaint3d.')}.{frame.f_code.co_name}{', backward' if node else ''}"
     return "an operation" if node is None else f"the gradient of {node.name()}"
