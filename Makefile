@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures clean
+.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -37,6 +37,12 @@ test-faults: .venv/.installed ## kills, corruptions, damaged inputs, writes that
 	$(TEST_ENV) .venv/bin/python -m tests.faults.fuzz
 	$(TEST_ENV) .venv/bin/python -m tests.faults.write_sites
 	$(TEST_ENV) .venv/bin/python -m tests.faults.beside_gc
+
+test-properties: .venv/.installed ## properties under many more inputs, drawn anew; nightly [EXAMPLES=2000]
+	$(TEST_ENV) INPAINT3D_EXAMPLES=$(or $(EXAMPLES),2000) .venv/bin/python -m pytest -q tests/stability/test_properties.py
+
+mutation: .venv/.installed ## guards taken out one at a time: do the tests notice? [BENCH_OPTIONS="--only NAME"]
+	$(TEST_ENV) .venv/bin/python -m benchmarks.mutation $(BENCH_OPTIONS)
 
 test-kubernetes: .venv/.installed ## every image as a Job of a real cluster [INPAINT3D_CLUSTER, INPAINT3D_IMAGES, AWS_*]
 	.venv/bin/python -m pytest -q -s -rs -m kubernetes tests/kubernetes
@@ -94,7 +100,7 @@ bench-radiance: .venv/.installed $(PEER_ENV)/.installed ## radiance fields again
 bench-radiance-quality: .venv/.installed ## radiance fields on held-out photos [SCENES="NAME=FOLDER ..."]
 	.venv/bin/python -m benchmarks.radiance.quality $(SCENES) $(BENCH_OPTIONS)
 
-bench-prior: .venv/.installed ## a prior on held-out photos against classical fills CORPUS=FOLDER [PRIOR=FOLDER]
+bench-prior: .venv/.installed ## priors on held-out photos against classical fills CORPUS=FOLDER [PRIOR="FOLDER ..."]
 	.venv/bin/python -m benchmarks.prior $(CORPUS) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
 
 bench-prior-variants: .venv/.installed ## which small prior learns most in an hour; hours CORPUS=FOLDER
@@ -119,8 +125,14 @@ bench-overhead: .venv/.installed $(PEERS)/dvc/.installed $(PEERS)/snakemake/.ins
 	$(TEST_ENV) .venv/bin/python -m benchmarks.peer_faults --dvc $(PEERS)/dvc/bin/dvc \
 	    --snakemake $(PEERS)/snakemake/bin/snakemake --out benchmarks/results/peer_faults.json
 
+bench-gpu: .venv/.installed ## a GPU: correctness, rates, the prior of 128 pixels OUT=FOLDER [CORPUS="FOLDER ..."] [PRIOR=FOLDER]
+	.venv/bin/python -m benchmarks.gpu --out $(OUT) $(if $(CORPUS),--corpus $(CORPUS)) $(if $(PRIOR),--prior $(PRIOR)) $(BENCH_OPTIONS)
+
+pack-gpu: .venv/.installed ## the same as a folder for a machine without a network PHOTOS="FOLDER ..." [PRIOR=FOLDER] [SCENE=FOLDER]
+	.venv/bin/python -m benchmarks.gpu.pack $(PHOTOS) $(if $(PRIOR),--prior $(PRIOR)) $(if $(SCENE),--scene $(SCENE)) $(BENCH_OPTIONS)
+
 fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
 	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)
 
 clean: ## remove the environment and results (the store too)
-	rm -rf .venv .cache .inpaint3d runs
+	rm -rf .venv .cache .inpaint3d runs gpu-pack

@@ -26,7 +26,13 @@ from inpaint3d.stages.view_completion.completion import Completion, write_comple
 PRIOR = PriorSpec(size=16, width=8, multipliers=(1, 2), blocks=(1, 1), attention=(False, False))
 
 
-def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:
+def put_posed(
+    store: Store,
+    room: SyntheticScene,
+    images: np.ndarray,
+    lens: tuple[float, float, float, float] = (40.0, 40.0, 24.0, 18.0),
+) -> Digest:
+    """lens: fx, fy, cx, cy at the size of the photos, where somebody looks at those."""
     folder = store.private_folder()
     frames = [
         write_view(folder, name, image, camera, split="test" if i == 2 else "train")
@@ -36,7 +42,7 @@ def put_posed(store: Store, room: SyntheticScene, images: np.ndarray) -> Digest:
     metadata = PosedCapture(
         frames=tuple(frames),
         ordered=True,
-        lens=LensModel(model="PINHOLE", params=(40.0, 40.0, 24.0, 18.0), evidence="synthetic"),
+        lens=LensModel(model="PINHOLE", params=lens, evidence="synthetic"),
         registration=Registration(
             source="known",
             given=len(frames),
@@ -86,12 +92,18 @@ def put_completed(
     method: str = "photo-completion",
     skip: int = 0,
     pictures: np.ndarray | None = None,
+    code: int = SOURCE_CODES["example"],
+    depth: bool = True,
 ) -> Digest:
-    """Completed views that show the empty room, or `pictures`; the first `skip` views are missing."""
+    """Completed views that show the empty room, or `pictures`; the first `skip` views are missing. code: where all that
+    is filled came from.
+    """
     folder = store.private_folder()
     views = [
-        Completion(name, image, np.where(hole, SOURCE_CODES["example"], 0).astype(np.uint16), depth.astype(np.float32))
-        for name, image, hole, depth in zip(
+        Completion(
+            name, image, np.where(hole, code, 0).astype(np.uint16), surface.astype(np.float32) if depth else None
+        )
+        for name, image, hole, surface in zip(
             room.names,
             room.empty_images if pictures is None else pictures,
             room.object_masks,

@@ -1,13 +1,16 @@
 """A prior judged on its own, on photos that it was not trained on: `make bench-prior CORPUS=FOLDER [PRIOR=FOLDER]`.
 
-    python -m benchmarks.prior CORPUS [--prior FOLDER] [--count N] [--steps N] [--draws N] [--out FILE] [--grids FOLDER]
+    python -m benchmarks.prior CORPUS [--prior FOLDER ...] [--size N] [--count N] [--steps N] [--draws N]
+        [--out FILE] [--grids FOLDER]
 
 CORPUS is the image-corpus artifact that the prior was trained on, of which some photos were held out by a hash of their
 names; --prior is a diffusion-prior artifact, the repository's own unless another is named. Each held-out photo's middle
-square, at the prior's size, is filled under three kinds of holes by
+square, at the largest prior's size unless another is given, is filled under three kinds of holes by
 
     ours             a DDIM sample of the prior in three steps, chosen among 2, 3, 4 and 8 on crops of two captures that
                      it was neither trained nor is judged on (more steps add grain, fewer blur)
+    NAME             the same of each further prior, by its folder's name. A prior of another size than the pictures is
+                     asked about them at its own, and its fill is resized
     mean             the mean colour of the known pixels
     telea            OpenCV's fast marching (Telea 2004)
     navier_stokes    OpenCV's Navier-Stokes (Bertalmio 2001)
@@ -24,18 +27,20 @@ order, truth) show the photos, which are not the project's to publish: they go t
 import argparse
 import json
 import statistics
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 from benchmarks.provenance import REPOSITORY, commit
 from torch import Tensor
 
 from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus
-from inpaint3d.contracts.store import load_artifact
+from inpaint3d.contracts.store import Artifact, load_artifact
 from inpaint3d.diffusion.io import load_prior
 from inpaint3d.diffusion.judging import fill_batch_telea, hole_psnr, to_bytes
 from inpaint3d.diffusion.masks import random_masks
@@ -61,11 +66,12 @@ Fill = Callable[[Tensor, Tensor], Tensor]
 def main() -> None:
     options = arguments()
     torch.set_num_threads(options.threads)
-    artifact = load_artifact(options.prior, "diffusion-prior@1", DiffusionPrior)
-    prior = load_prior(artifact.path(artifact.metadata.weights), artifact.metadata.spec)
+    artifacts = name_priors(options.prior)
+    priors = {name: load_prior(a.path(a.metadata.weights), a.metadata.spec) for name, a in artifacts.items()}
+    size = options.size or max(prior.size for prior in priors.values())
     corpus = load_artifact(options.corpus, "image-corpus@1", ImageCorpus)
     held_out = [corpus.path(p.path) for p in corpus.metadata.pictures if p.split == "test"][: options.count]
-    truth = torch.stack([middle_square(path, prior.spec.size) for path in held_out])
+    truth = torch.stack([middle_square(path, size) for path in held_out])
     judge = Judge(truth)
     masks: dict[str, Any] = {}
     for kind, draw in HOLES.items():
@@ -73,8 +79,8 @@ def main() -> None:
         for seed in range(SEED, SEED + options.draws):
             rng = np.random.default_rng(seed)
             cv2.setRNGSeed(seed)  # shift maps are found by chance
-            hole = torch.from_numpy(np.stack([draw(prior.spec.size, rng) for _ in truth])).float()[:, None]
-            filled = {name: fill(truth, hole) for name, fill in choose_fills(prior, options.steps).items()}
+            hole = torch.from_numpy(np.stack([draw(size, rng) for _ in truth])).float()[:, None]
+            filled = {name: fill(truth, hole) for name, fill in choose_fills(priors, options.steps).items()}
             for name, pictures in filled.items():
                 found.setdefault(name, []).append(judge.figures(pictures, hole))
             if seed == SEED:
@@ -84,10 +90,14 @@ def main() -> None:
     report = {
         "machine": this_machine().model_dump(),
         **commit(),
-        "prior": {
-            "digest": artifact.digest,
-            "size": prior.spec.size,
-            "parameters": sum(p.numel() for p in prior.parameters()),
+        "size": size,
+        "priors": {
+            name: {
+                "digest": artifacts[name].digest,
+                "size": prior.size,
+                "parameters": sum(p.numel() for p in prior.parameters()),
+            }
+            for name, prior in priors.items()
         },
         "photos": len(held_out),
         "draws": options.draws,
@@ -107,8 +117,8 @@ def main() -> None:
 def table(report: dict[str, Any]) -> str:
     """What the model card says of these figures."""
     lines = [
-        f"{report['photos']} held-out photos at {report['prior']['size']} pixels, {report['draws']} draws of holes; "
-        f"ours: {report['sampler']}.",
+        f"{report['photos']} held-out photos at {report['size']} pixels, {report['draws']} draws of holes; "
+        f"{', '.join(report['priors'])}: {report['sampler']}.",
         "LPIPS (VGG) and KID-lite0 (EfficientNet-Lite0's features, not Inception's, hence not KID): lower is better;",
         "PSNR in the hole, dB. ±: between the draws.",
     ]
@@ -124,7 +134,8 @@ def table(report: dict[str, Any]) -> str:
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("corpus", type=Path)
-    parser.add_argument("--prior", type=Path, default=GENERAL)
+    parser.add_argument("--prior", type=Path, nargs="+", default=[GENERAL])
+    parser.add_argument("--size", type=int, help="side of the pictures, pixels; default: that of the largest prior")
     parser.add_argument("--count", type=int, default=100, help="judge on the first so many held-out photos alone")
     parser.add_argument("--steps", type=int, default=3, help="DDIM steps of a sample")
     parser.add_argument("--draws", type=int, default=4, help="holes of each kind for a photo")
@@ -169,14 +180,36 @@ HOLES: Mapping[str, Callable[[int, np.random.Generator], np.ndarray]] = {
 }
 
 
-def choose_fills(prior: InpaintingPrior, steps: int) -> dict[str, Fill]:
-    def ours(image: Tensor, hole: Tensor) -> Tensor:
+def name_priors(folders: Sequence[Path]) -> dict[str, Artifact[DiffusionPrior]]:
+    """The first is ours, the others have their folders' names."""
+    names = ["ours", *(folder.resolve().name for folder in folders[1:])]
+    if len(set(names)) < len(names):
+        sys.exit(f"priors are called {', '.join(names)}; give folders of different names")
+    return {n: load_artifact(f, "diffusion-prior@1", DiffusionPrior) for n, f in zip(names, folders, strict=True)}
+
+
+def sample_by(prior: InpaintingPrior, steps: int) -> Fill:
+    """Samples of a prior, at its own size."""
+
+    def sample(image: Tensor, hole: Tensor) -> Tensor:
         generator = torch.Generator().manual_seed(SEED)
         parts = zip(image.split(BATCH), hole.split(BATCH), strict=True)
         return torch.cat([inpaint(prior, x, m, steps=steps, generator=generator) for x, m in parts])
 
+    def resized(image: Tensor, hole: Tensor) -> Tensor:
+        if image.shape[-1] == prior.size:
+            return sample(image, hole)
+        size = (prior.size, prior.size)
+        # A cell that the hole touches is the hole's: it is an average over pixels that nobody may see.
+        made = sample(F.interpolate(image, size, mode="area"), F.adaptive_max_pool2d(hole, size))
+        return torch.where(hole > 0, F.interpolate(made, image.shape[-2:], mode="bilinear"), image)
+
+    return resized
+
+
+def choose_fills(priors: Mapping[str, InpaintingPrior], steps: int) -> dict[str, Fill]:
     return {
-        "ours": ours,
+        **{name: sample_by(prior, steps) for name, prior in priors.items()},
         "mean": mean_fill,
         "telea": fill_batch_telea,
         "navier_stokes": each(lambda picture, hole: cv2.inpaint(picture, hole, 3, cv2.INPAINT_NS)),

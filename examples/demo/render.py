@@ -172,6 +172,18 @@ def radiance_of(scene: mi.Scene, shot: Shot, spp: int, seed: int, cache: Path) -
     return np.load(path)
 
 
+def render_clean(scene: mi.Scene, taken: list[Shot], options: argparse.Namespace) -> None:
+    """What the photos would have been without the figure: their cameras, exposures and noise."""
+    cache = options.cache / "clean"
+    cache.mkdir(parents=True, exist_ok=True)
+    for index, shot in enumerate(taken):
+        if options.only and shot.name not in options.only:
+            continue
+        radiance = radiance_of(scene, shot, options.spp, options.seed * 10_000 + index, cache)
+        pixels = develop(radiance, shot, np.random.default_rng([options.seed, 200, index]), noise=options.noise)
+        write_picture(options.out / "renderer/clean" / f"{shot.name}.png", pixels)
+
+
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=7)
@@ -181,6 +193,12 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--only", nargs="*", help="names of views, for a preview")
     parser.add_argument("--out", type=Path, default=HERE)
     parser.add_argument("--cache", type=Path, default=HERE / ".cache", help="linear pictures, kept between runs")
+    parser.add_argument(
+        "--clean",
+        action="store_true",
+        help="the photos' own views without the figure, to `renderer/clean`; for studies",
+    )
+    parser.add_argument("--noise", type=float, default=1.0, help="with --clean: share of a photo's noise")
     parser.add_argument("--variant", default="llvm_ad_rgb")
     return parser.parse_args()
 
@@ -193,6 +211,9 @@ def main() -> None:
     scenes = room.build(options.seed)
     taken, shown = shots(options.seed, options.frames, options.truths, np.array([0.0, 0.0, room.TABLE_TOP + 0.17]))
     options.cache.mkdir(parents=True, exist_ok=True)
+    if options.clean:
+        render_clean(scenes["without"], taken, options)
+        return
     write_cameras(options.out / "renderer/cameras.json", taken, shown, options.seed)
     for index, shot in enumerate(taken + shown):
         if options.only and shot.name not in options.only:

@@ -106,7 +106,7 @@ def test_without_a_mask_the_run_waits_and_says_what_to_write(cli, tmp_path):
     (folder / "transforms.json").write_text(json.dumps({**intrinsics, "frames": frames}))
     tiny = ["nerf-pretraining.steps=2", "nerf-pretraining.view_side=24", "pose-estimation.min_points=1",
             "pose-estimation.min_angle_deg=0"]  # fmt: skip
-    result = cli("run", str(folder), *[a for t in tiny for a in ("--set", t)])
+    result = cli("run", str(folder), "--accept-doubtful", *[a for t in tiny for a in ("--set", t)])
     assert result.returncode == 4, result.stderr
     assert "mask-authoring waiting" in result.stderr
     assert "view_00" in result.stderr

@@ -44,6 +44,20 @@ def test_the_whole_pipeline_passes_every_layer(preset):
     assert json.loads(template_of(documents)["metadata"]["annotations"][LEFT_OUT]) == configured.left_out != {}
 
 
+def test_paintings_are_awaited_once_before_the_first_node_that_reads_them():
+    asked = submission(PIPELINE, awaitPaintings=True, want=("plate-export",))
+    documents = emit(PIPELINE, cluster(), asked)
+    assert check(documents, PIPELINE) == []
+    (scene,) = [t for t in documents[0]["spec"]["templates"] if t["name"] == "scene"]
+    tasks = {task["name"]: task for task in scene["dag"]["tasks"]}
+    upstream = configure_submission(PIPELINE, asked).pipeline.upstream("view-completion")
+    assert set(tasks["await-painting"]["dependencies"]) == upstream
+    for node in ("view-completion", "plate-export"):
+        assert "await-painting" in tasks[node]["dependencies"]
+        values = {p["name"]: p["value"] for p in tasks[node]["arguments"]["parameters"]}
+        assert values["painted-views"] == "{{tasks.await-painting.outputs.parameters.painted-views}}"
+
+
 def test_a_node_of_a_preset_alone_has_its_seed():
     asked = submission(PIPELINE, preset="creative", seed=10, overrides={"evaluation": {"seed": 4}})
     template = template_of(emit(PIPELINE, cluster(), asked))

@@ -9,9 +9,10 @@ from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.models.cluster import Scene
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store.bucket import BucketStore
-from inpaint3d.orchestrator.cluster import prepare, supply_mask
+from inpaint3d.orchestrator.cluster import prepare, supply
 from inpaint3d.orchestrator.configure import configure_submission
 from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.workflows import list_rows, supply_patch
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import cluster, submission
@@ -68,10 +69,10 @@ def test_a_scene_runs_through_a_lost_pod_and_a_person(store, tmp_path, compress_
 
     def person(argo, where):
         asked.append(where)
-        digest = supply_mask(store, "test", "kitchen", tmp_path / "mask.yaml")
-        assert supply_patch(argo.workflow, "hall", digest, NOW) is None, "another scene's"
-        argo.patch(supply_patch(argo.workflow, "kitchen", digest, NOW))
-        assert supply_patch(argo.workflow, "kitchen", digest, NOW) is None, "it waits no more"
+        digest = supply(store, "test", "kitchen", MASK_REQUEST, tmp_path / "mask.yaml")
+        assert supply_patch(argo.workflow, "hall", MASK_REQUEST, digest, NOW) is None, "another scene's"
+        argo.patch(supply_patch(argo.workflow, "kitchen", MASK_REQUEST, digest, NOW))
+        assert supply_patch(argo.workflow, "kitchen", MASK_REQUEST, digest, NOW) is None, "it waits no more"
 
     argo.supply, argo.compress_from = person, compress_from
     argo.loses = lambda where, attempt: where.endswith(".nerf-pretraining") and attempt == 0

@@ -16,6 +16,7 @@ from inpaint3d.contracts.store import FolderStore, Record, open_store
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.argo import LEFT_OUT
 from inpaint3d.orchestrator.emit.check import check
+from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.workflows import list_rows
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import DIGEST, TOY, cluster, submission
@@ -231,7 +232,7 @@ def test_a_mask_is_given_to_its_scene_alone(store, kubectl, tmp_path):
     clusters.prepare(store, TOY, cluster(), submission(TOY, awaitMasks=True))
     (tmp_path / "mask.yaml").write_text("mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}")
     (kubectl / "answer.get").write_text(json.dumps({"items": [workflow(w=WAIT)]}))
-    assert clusters.give_mask(store, cluster(), "test", "n", tmp_path / "mask.yaml") == "t-0000"
+    assert clusters.give(store, cluster(), "test", "n", MASK_REQUEST, tmp_path / "mask.yaml") == "t-0000"
     line, _ = calls(kubectl)[-1]
     assert line[2:5] == ["patch", "workflows.argoproj.io", "t-0000"]
     patch = json.loads(line[-1])
@@ -243,9 +244,9 @@ def test_a_mask_is_given_to_its_scene_alone(store, kubectl, tmp_path):
         {"name": "mask-request", "value": digest, "valueFrom": {"supplied": {}}}
     ]
     with pytest.raises(ConfigurationError, match="nothing of kitchen waits for a mask"):
-        clusters.give_mask(store, cluster(), "test", "kitchen", tmp_path / "mask.yaml")
+        clusters.give(store, cluster(), "test", "kitchen", MASK_REQUEST, tmp_path / "mask.yaml")
     with pytest.raises(ConfigurationError, match="test has no scene hall; it has kitchen, n"):
-        clusters.give_mask(store, cluster(), "test", "hall", tmp_path / "mask.yaml")
+        clusters.give(store, cluster(), "test", "hall", MASK_REQUEST, tmp_path / "mask.yaml")
 
 
 def test_publish_of_a_scene_that_failed_says_so_with_its_code(cli, store):
@@ -287,7 +288,7 @@ def test_rerun_forgets_the_stage_of_the_scene_and_runs_that_scene_again(store, k
 def test_a_rerun_waits_for_no_mask_that_was_supplied(store, kubectl, tmp_path):
     clusters.prepare(store, TOY, cluster(), submission(TOY, awaitMasks=True))
     (tmp_path / "mask.yaml").write_text("mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}")
-    digest = clusters.supply_mask(store, "test", "n", tmp_path / "mask.yaml")
+    digest = clusters.supply(store, "test", "n", MASK_REQUEST, tmp_path / "mask.yaml")
     scenes = {s.name: s.externals for s in clusters.load_submission(store, "test").scenes}
     assert scenes == {"kitchen": {"capture": DIGEST}, "n": {"capture": DIGEST, "mask-request": digest}}
     waits = []

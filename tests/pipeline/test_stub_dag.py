@@ -10,6 +10,7 @@ import pytest
 
 from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.contracts.store import FolderStore
+from inpaint3d.contracts.store.artifact import hex_of
 from inpaint3d.orchestrator.configure import Settings, configure
 from inpaint3d.orchestrator.parameter_schema import parameter_schema
 from inpaint3d.orchestrator.parameters import combine_parameters
@@ -57,6 +58,27 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     why = cli("why", "tiny", "joint-optimization").stdout
     assert "parameters.estimator.weight" in why
     assert "-> 2" in why
+
+
+def test_a_doubtful_result_stops_the_run_unless_a_person_insists(ran):
+    cli, arguments = ran
+    assert "doubt" not in (cli.runs / "tiny" / "report.html").read_text()
+    store = FolderStore(cli.store)
+    (record,) = (r for r in store.records() if r.stage.startswith("nerf-pretraining"))
+    doubtful = record.model_copy(update={"timings": {**record.timings, "doubts": ["12 dB on views held out"]}})
+    (cli.store / "keys" / f"{hex_of(record.key)}.json").write_bytes(doubtful.encode())
+
+    stopped = cli(*arguments)
+    assert stopped.returncode == 6
+    assert "nerf-pretraining failed: 12 dB on views held out. The result is kept: --accept-doubtful" in stopped.stderr
+    assert cli.statuses()["mask-authoring"] == "pending"
+    doubts = ["nerf-pretraining: 12 dB on views held out"]
+    assert json.loads((cli.runs / "tiny" / "metrics.json").read_text())["doubts"] == doubts
+
+    assert cli(*arguments, "--accept-doubtful").returncode == 0
+    assert set(cli.statuses().values()) == {"cached", "left-out"}, "nothing is computed again"
+    page = (cli.runs / "tiny" / "report.html").read_text()
+    assert doubts[0] in page.partition("<main>")[2].partition("<h1>")[0], "before all the rest"
 
 
 def test_a_preset_may_have_nodes_of_its_own(ran):

@@ -39,6 +39,8 @@ RUN = """\
     def run(config, inputs, outputs, ctx):
         source = inputs.one("source", Source)
         ctx.record("curve", step=1, loss=0.5)
+        if config.way == "doubtful":
+            ctx.doubt("3 dB; take more photos")
         if config.way == "bug":
             Effect(name="exposure")
         if config.way == "bad data":
@@ -71,7 +73,7 @@ def stage(tmp_path, monkeypatch):
     store = FolderStore(tmp_path / "store")
     inputs = {"source": store_externals(store)["external.capture"]}
     spec = load_stage(folder / "stage.yaml")
-    return store, lambda way: invoke(spec, store, inputs, parameters={"way": way})
+    return store, lambda way, **asked: invoke(spec, store, inputs, parameters={"way": way}, **asked)
 
 
 @pytest.mark.parametrize(
@@ -93,6 +95,18 @@ def test_errors_of_a_stage_are_never_blamed_on_its_invocation(stage, way, code, 
     if code:
         assert "Traceback" in result.stderr, "whoever looks for a bug in the reader finds it in the log"
     assert len(store.names("tmp")) == len(before) + 1, "the invocation's; what was half written gave its space back"
+
+
+def test_a_doubtful_result_is_kept_and_stops_until_somebody_insists(stage):
+    store, run = stage
+    for _ in range(2):  # the second time it is found
+        result = run("doubtful", accept_doubtful=False)
+        assert result.code == 6
+        assert result.error == "3 dB; take more photos. The result is kept: --accept-doubtful goes on with it"
+    (record,) = store.records()
+    accepted = run("doubtful")
+    assert (accepted.code, accepted.outputs) == (0, record.outputs)
+    assert accepted.events[-1]["key"] == record.key
 
 
 @pytest.mark.parametrize("junk", [b"", b"{", b"[]", b'{"count": [}', b"\xff\xfe", b"{}"])

@@ -7,6 +7,7 @@ namespace inpaint3d::INPAINT3D_ISA {
 namespace {
 
 constexpr int64_t kBlock = 1 << 16;  // numbers of one task
+constexpr float kLargest = 1.84467429e19f;  // its square is the first that float32 does not hold, or nearly
 constexpr int64_t kGroup = 16;       // numbers that a sparse step looks at together: often none of them moves
 
 struct State {
@@ -21,23 +22,25 @@ inline bool all_rest(const float* grad, int64_t begin, int64_t end) {
   return rest;
 }
 
-// Moves numbers [begin, end); returns how many were left alone since their gradient is not finite.
+// Moves numbers [begin, end); returns how many were left alone since the step would not leave them finite: the gradient
+// is not, or its square overflows, which would stop the number for good, or the number or its moments are not.
 template <bool sparse>
 inline int32_t move(const State& state, const Adam& a, int64_t begin, int64_t end) {
   int32_t lost = 0;
 #pragma GCC ivdep
   for (int64_t i = begin; i < end; ++i) {
     const float grad = state.grad[i], param = state.param[i], m = state.m[i], v = state.v[i];
-    const bool finite = grad - grad == 0.0f;
-    const bool moves = finite && (!sparse || grad != 0.0f);
     const float slope = grad + a.decay * param;
     const float first = m + (1.0f - a.beta1) * (slope - m);
     const float second = a.beta2 * v + (1.0f - a.beta2) * slope * slope;
     const float to = param - a.step_size * first / (__builtin_sqrtf(second) * a.inverse_spread + a.eps);
+    const bool wanted = !sparse || grad != 0.0f;
+    const bool finite = __builtin_fabsf(slope) < kLargest && second - second == 0.0f && to - to == 0.0f;
+    const bool moves = wanted && finite;
     state.m[i] = moves ? first : m;
     state.v[i] = moves ? second : v;
     state.param[i] = moves ? to : param;
-    lost += !finite;
+    lost += wanted && !finite;
   }
   return lost;
 }

@@ -41,10 +41,11 @@ inline Floats sigmoid(Floats x) {
   return (x < 0.0f ? e : splat(1.0f)) / (1.0f + e);
 }
 
-// The derivative of what `bounded` gives, times `grad`.
+// The derivative of what `bounded` gives, times `grad`; at least kLeastSlope, so that black and white can be left again.
+constexpr float kLeastSlope = 1e-4f;
 inline Floats bounded_adjoint(Floats x, Floats grad, float padding) {
-  const Floats s = sigmoid(x);
-  return grad * (1.0f + 2.0f * padding) * s * (1.0f - s);
+  const Floats s = sigmoid(x), scaled = grad * (1.0f + 2.0f * padding);
+  return s * (1.0f - s) < kLeastSlope ? scaled * kLeastSlope : scaled * s * (1.0f - s);
 }
 
 // Calls visit(row, first point, count) for pieces of runs, whole runs to a task. The last run may be shorter.

@@ -83,7 +83,7 @@ void grid_learn(float* density, int32_t side, const float* cube, const float* se
   for (int64_t i = 0; i < count; ++i) {
     float& kept = density[index[i]];
     kept = __builtin_fabsf(kept);
-    if (seen[i] > kept) kept = seen[i];
+    if (kept == kept && !(seen[i] <= kept)) kept = seen[i];  // a NaN stays, whatever else is seen
   }
   delete[] index;
 }

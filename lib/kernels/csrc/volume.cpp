@@ -96,6 +96,10 @@ inline void resample_ray(const float* sdist, const float* weights, int64_t n, in
     cdf[i + 1] = static_cast<float>(mass);
   }
   const float total = cdf[n];
+  if (!(total - total == 0.0f)) {  // a histogram that is not finite has no quantiles
+    for (int64_t k = 0; k <= count; ++k) out[k] = __builtin_nanf("");
+    return;
+  }
   for (int64_t i = 1; i <= n; ++i) cdf[i] /= total;
   int64_t right = 1;
   float first = 0.0f, before = 0.0f, centre = 0.0f;

@@ -25,7 +25,7 @@ def test_colours_and_gradients_follow_the_definition(isa, count, rows):
 
     grads = [np.full_like(array, np.nan) for array in (diffuse, specular, exposure)]
     kernels.colours_backward(logits, how, kernels.Colours(rgb_grad, None), kernels.Logits(*grads), threads=2)
-    slope = rgb_grad * (1 + 2 * padding) * share * (1 - share)
+    slope = rgb_grad * (1 + 2 * padding) * np.maximum(share * (1 - share), 1e-4)
     np.testing.assert_allclose(grads[0], slope * gain, rtol=0, atol=1e-5)
     np.testing.assert_allclose(grads[1], scale * slope * gain, rtol=0, atol=1e-5)
     by_row = np.concatenate([slope * both * gain, slope], 1).reshape(rows, -1, 6).sum(1)

@@ -126,8 +126,7 @@ def test_masks_turn_as_pixels_do(tmp_path, orientation, upright):
 @pytest.mark.parametrize(
     ("top", "name"),
     [
-        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1}, "OPENCV_FISHEYE"),
-        ({"is_fisheye": True}, "OPENCV_FISHEYE"),
+        ({"ftheta_p0": 1.0}, "FTHETA"),
         ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"camera_model": "VR180_L"}, "VR180_L"),
     ],
@@ -144,7 +143,7 @@ def test_lenses_of_nerfstudio_that_are_no_pinhole_are_refused_by_name(tmp_path, 
 
 
 @pytest.mark.parametrize(
-    "camera", ["OPENCV_FISHEYE 32 24 30 30 16 12 0 0 0 0", "FOV 32 24 30 30 16 12 0.1", "LADYBUG 3 3 3"]
+    "camera", ["THIN_PRISM_FISHEYE 32 24 30 30 16 12 0 0 0 0 0 0 0 0", "FOV 32 24 30 30 16 12 0.1", "LADYBUG 3 3 3"]
 )
 def test_lenses_of_colmap_that_are_not_read_are_refused_by_name(tmp_path, camera):
     write_pictures(tmp_path / "images", NAMES)
@@ -153,6 +152,28 @@ def test_lenses_of_colmap_that_are_not_read_are_refused_by_name(tmp_path, camera
         BadInputError, match=rf"sparse/cameras\.txt .*has the model {camera.split()[0]}, which is not read"
     ):
         colmap.find(tmp_path)
+
+
+@pytest.mark.parametrize("said", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_fisheyes_of_nerfstudio_keep_their_four_parameters(tmp_path, said):
+    write_pictures(tmp_path, NAMES)
+    twice = {"w": 64, "h": 48, "fl_x": 40, "fl_y": 41, "cx": 33, "cy": 25}
+    write_nerfstudio(tmp_path, nerfstudio_frames(NAMES), **said, **twice, k1=0.1, k2=0.02, k3=0.003, k4=0.0004)
+    for frame in nerfstudio.find(tmp_path).frames:
+        assert frame.camera.model == "OPENCV_FISHEYE"
+        np.testing.assert_allclose(frame.camera.params, (20, 20.5, 16.5, 12.5, 0.1, 0.02, 0.003, 0.0004))
+
+
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [("OPENCV_FISHEYE", (20, 21, 16, 12, 0.1, 0.2, 0.3, 0.4)), ("SIMPLE_RADIAL_FISHEYE", (20, 16, 12, 0.1)),
+     ("RADIAL_FISHEYE", (20, 16, 12, 0.1, 0.2))],
+)  # fmt: skip
+def test_fisheyes_of_colmap(tmp_path, model, params):
+    write_pictures(tmp_path / "images", NAMES)
+    write_colmap_text(tmp_path / "sparse", NAMES, camera=f"{model} 32 24 {' '.join(map(str, params))}")
+    camera = colmap.find(tmp_path).frames[0].camera
+    assert (camera.model, camera.params) == (model, params)
 
 
 def test_each_frame_has_the_lens_that_is_listed_with_it(tmp_path):

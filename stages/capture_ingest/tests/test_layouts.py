@@ -177,7 +177,18 @@ def test_rows_without_names_follow_the_names_as_text(root, numbers):
     assert [f.image.name for f in found.frames] == names
     for i, frame in enumerate(found.frames):
         np.testing.assert_allclose(frame.camera.world_from_cam, SCENE.cameras[i % 4].world_from_cam, atol=1e-9)
-    assert "in the order of names as text: f_10" in say(found)
+        row = numbers.index(int(sorted(names)[i][2:-4])) % 4
+        np.testing.assert_allclose(frame.other_pose, SCENE.cameras[row].world_from_cam, atol=1e-9)
+    assert "in the order of names as text, f_10" in say(found)
+    assert "or as numbers: pose-estimation takes what the pictures support" in say(found)
+
+
+def test_padded_names_have_one_order(root):
+    write_pictures(root / "images", ["f_02.png", "f_10.png", "f_11.png"])
+    write_llff(root, [0, 1, 2])
+    found = taken(root)
+    assert [f.other_pose for f in found.frames] == [None] * 3
+    assert "as text" not in say(found)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from inpaint3d.stages.capture_ingest.carry import carry, fit_mask, read_exif
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 from inpaint3d.stages.capture_ingest.layouts import detect, find
+from inpaint3d.stages.capture_ingest.video import choose_frames
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -194,6 +195,34 @@ def test_video_takes_the_sharpest_of_each_stretch(tmp_path):
     assert read_image(found.frames[0].image).shape == (48, 64, 3)
 
 
+def test_frames_of_a_video_are_spread_by_motion_not_by_time(tmp_path):
+    """The camera rests for two thirds of the clip, then walks: what rests is taken once."""
+    rng = np.random.default_rng(0)
+    wide = cv2.GaussianBlur((rng.random((48, 300, 3)) * 255).astype(np.uint8), (0, 0), 2)
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
+    for i in range(60):
+        at = 4 * max(0, i - 40)
+        writer.write(wide[:, at : at + 64])
+    writer.release()
+    found = found_in(tmp_path, tmp_path, video_frames=6)
+    numbers = [int(f.name[6:]) for f in found.frames]
+    assert len(numbers) == 6
+    assert sum(n <= 40 for n in numbers) <= 1
+    assert np.diff([n for n in numbers if n > 40]).max() <= 7
+    assert "39 change nothing" in found.notes[-1] or "40 change nothing" in found.notes[-1]
+
+
+def test_frames_of_a_still_video_are_spread_by_time():
+    chosen = choose_frames(np.array([1.0, 2, 1, 1, 3, 1]), np.zeros(6), 2)
+    assert chosen == [1, 4]
+
+
+def test_a_cut_is_no_motion():
+    change = np.full(41, 0.05)
+    change[20] = 1.0
+    assert len([i for i in choose_frames(np.ones(41), change, 10) if i < 20]) in (4, 5)
+
+
 def test_mask_of_half_the_size_is_resampled_and_another_aspect_refused(tmp_path):
     write_mask(tmp_path / "m.png", SCENE.object_masks[0])
     write_png(tmp_path / "p.png", np.zeros((48, 64, 3), np.uint8))
@@ -229,6 +258,32 @@ def test_exif_focal_is_in_pixels(tmp_path):
     assert exif.focal_px == pytest.approx(40.0)
     assert exif.exposure_s == pytest.approx(0.02, rel=1e-3)  # EXIF keeps a ratio of integers
     assert exif.camera == "M"
+
+
+@pytest.mark.parametrize(
+    ("attributes", "position"),
+    [
+        ({"LatitudeRef": "N", "LongitudeRef": "E", "Altitude": 431.5}, (47.5025, 8.25, 431.5)),
+        ({"LatitudeRef": "S", "LongitudeRef": "W"}, (-47.5025, -8.25, 0.0)),
+        ({"LatitudeRef": "N", "LongitudeRef": "E", "Latitude": (0.0, 0.0, 0.0), "Longitude": (0.0, 0.0, 0.0)}, None),
+        (None, None),
+    ],
+)
+def test_a_place_by_gps(tmp_path, attributes, position):
+    """Cameras without reception write zeros."""
+    import OpenImageIO as oiio  # noqa: N813
+
+    spec = oiio.ImageSpec(60, 40, 3, "uint8")
+    angles = {"Latitude": (47.0, 30.0, 9.0), "Longitude": (8.0, 15.0, 0.0)}
+    for name, value in ({**angles, **attributes} if attributes else {}).items():
+        kind = oiio.TypeDesc("float[3]") if isinstance(value, tuple) else None
+        spec.attribute(f"GPS:{name}", *((kind, value) if kind else (value,)))
+    out = oiio.ImageOutput.create(str(tmp_path / "a.jpg"))
+    out.open(str(tmp_path / "a.jpg"), spec)
+    out.write_image(np.zeros((40, 60, 3), np.uint8))
+    out.close()
+    found = read_exif(read_header(tmp_path / "a.jpg"), 60, 40).position
+    assert (position is None and found is None) or found == pytest.approx(position, abs=1e-4)
 
 
 def test_any_depth_and_any_way_up_become_upright_eight_bit_frames_of_their_own_size(tmp_path):

@@ -1,8 +1,11 @@
+import os
 import threading
 
 import pytest
+import torch
 
-from inpaint3d.stages.diffusion_training.ahead import MadeAhead
+from inpaint3d.diffusion.training import Batch
+from inpaint3d.stages.diffusion_training.ahead import MadeAhead, MadeByWorkers, make_ahead
 
 
 def test_results_come_in_order_whatever_their_threads_do() -> None:
@@ -39,3 +42,20 @@ def test_what_goes_wrong_is_raised_in_its_turn() -> None:
     assert [next(steps), next(steps)] == [0, 1]
     with pytest.raises(ZeroDivisionError):
         next(steps)
+
+
+def make_batch(index: int) -> tuple[int, Batch]:
+    picture = torch.full((2, 3, 4, 4), float(index))
+    return os.getpid(), Batch(picture, picture[:, :1], picture[:, :1])
+
+
+def test_processes_make_what_threads_do() -> None:
+    """In order, in other processes than this one."""
+    made = list(MadeByWorkers(make_batch, range(5, 12), workers=2))
+    assert [float(batch.image[0, 0, 0, 0]) for _, batch in made] == list(range(5, 12))
+    assert os.getpid() not in {process for process, _ in made}
+
+
+def test_a_gpu_is_fed_by_processes_and_a_processor_by_one_thread() -> None:
+    assert isinstance(make_ahead(make_batch, range(2), "cuda"), MadeByWorkers)
+    assert isinstance(make_ahead(make_batch, range(2), "cpu"), MadeAhead)

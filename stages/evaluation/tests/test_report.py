@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inpaint3d.contracts.models.artifacts import Protocol
-from inpaint3d.report.page import RUN_MARKER
+from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.stages.evaluation.report import Curve, Report, Strip, cost_of_stopping_early, write_report
 from inpaint3d.stages.evaluation.scores import metric
@@ -42,8 +42,10 @@ def test_the_page_stands_alone(tmp_path):
     assert all(link.startswith("data:image/png;base64,") for link in parser.found)
 
 
-def test_one_line_is_left_for_the_run(tmp_path):
-    assert page(tmp_path).splitlines().count(RUN_MARKER) == 1
+def test_lines_are_left_for_the_run_its_doubts_before_all_else(tmp_path):
+    lines = page(tmp_path).splitlines()
+    assert [lines.count(marker) for marker in (DOUBT_MARKER, RUN_MARKER)] == [1, 1]
+    assert lines.index(DOUBT_MARKER) < min(i for i, line in enumerate(lines) if "<h1>" in line)
 
 
 def test_the_best_figure_is_marked_and_names_are_escaped(tmp_path):
@@ -51,6 +53,12 @@ def test_the_best_figure_is_marked_and_names_are_escaped(tmp_path):
     assert '<td class="best">2.00</td>' in text
     assert "<td>1.23</td>" in text
     assert "view &lt;1&gt;" in text
+
+
+def test_the_health_of_each_fit_is_told(tmp_path):
+    shown = page(tmp_path, health={"joint": {"gradient_norm_largest": 0.0123, "rollbacks": 1.0}})
+    assert "gradient norm largest 0.0123; rollbacks 1" in shown
+    assert "Health of the fits" not in page(tmp_path)
 
 
 def test_non_finite_values_are_told(tmp_path):

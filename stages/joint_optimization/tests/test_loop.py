@@ -10,17 +10,20 @@ import pytest
 import torch
 import yaml
 
-from inpaint3d.contracts.kit.context import Inputs
+from inpaint3d.contracts.errors import BadInputError, NonFiniteError
+from inpaint3d.contracts.kit.context import Context, Inputs
 from inpaint3d.contracts.models.pipeline import merge_parameters
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Store
+from inpaint3d.radiance.health import check_finite
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.centre_views import choose_centre_views
 from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide, Timesteps
-from inpaint3d.stages.joint_optimization.loop import Problem, trace_sparse_points
+from inpaint3d.stages.joint_optimization.loop import Problem, optimise, trace_sparse_points
 from inpaint3d.stages.joint_optimization.parallel import Ranks
 from inpaint3d.stages.joint_optimization.run import pose
 
@@ -147,3 +150,57 @@ def test_sight_lines_are_those_of_the_views_to_fit(room: SyntheticScene) -> None
     assert away.min() > 1e-3
     none = room.points.select(np.zeros(len(room.points), bool))
     assert trace_sparse_points(MaskedScene(tuple(views[:1]), tuple(views[1:]), none, scene.order), "cpu") is None
+
+
+class Faulty(Context):
+    """At a step, once or whenever it comes, puts a NaN into the field."""
+
+    def watch(self, problem: Problem, step: int, *, again: bool) -> None:
+        self.problem, self.step, self.again = problem, step, again
+
+    def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
+        if done == self.step:
+            self.step = self.step if self.again else -1
+            with torch.no_grad():
+                self.problem.field.base.table[7, 1] = torch.nan
+
+
+@pytest.mark.parametrize("again", [False, True])
+@pytest.mark.parametrize("at", [2, 5])
+def test_a_weight_that_breaks_is_located_and_the_loop_goes_back_once(
+    posed: Make, tmp_path: Path, at: int, again: bool
+) -> None:
+    """On the way, and at the last step, where only the check before the commit would see a rare entry."""
+    problem, messages = posed(steps=6), []
+    work = tmp_path / "work"
+    work.mkdir()
+    ctx = Faulty(seed=0, device="cpu", threads=1, work=work, emit=lambda event, **v: messages.append(v.get("message")))
+    ctx.watch(problem, at, again=again)
+    if again:
+        with pytest.raises(NonFiniteError, match=r"base\.table \(1, the first at \[7, 1\].*went back 1 times before"):
+            optimise(problem, ctx, Curves(), Ranks())
+    else:
+        optimise(problem, ctx, Curves(), Ranks())
+        check_finite(problem.field)
+        assert ctx.health["rollbacks"] == 1
+        assert sum("base.table (1, the first at [7, 1])" in (m or "") for m in messages) == 1
+
+
+def test_a_prior_that_breaks_is_told_with_step_view_and_window(posed: Make) -> None:
+    problem = posed()
+    assert isinstance(problem.guide, Noting)
+    with torch.no_grad():
+        next(problem.guide.prior.parameters()).fill_(torch.nan)  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(
+        BadInputError, match=r"step 12, view view_\d+, window of \d+ px at .*the prior answered \d+ of 768"
+    ):
+        problem.terms(12, Ranks())
+
+
+def test_a_hole_without_anything_known_around_is_told_by_its_view(posed: Make) -> None:
+    """The hole lies at the left, what is known at the right, and between them is neither."""
+    problem = posed()
+    columns = np.broadcast_to(np.arange(48), (36, 48))
+    far = [replace(view, hole=columns < 8, known=columns == 47) for view in problem.to_fill]
+    with pytest.raises(BadInputError, match=r"the hole of view view_\d+ fills every window of \d+ px"):
+        replace(problem, to_fill=far).terms(12, Ranks())

@@ -27,6 +27,7 @@ from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import read_mask, write_exr, write_mask, write_png
 from inpaint3d.scene.synthetic import BALL_RADIUS, SyntheticScene, arc_cameras, synthetic_scene
 from inpaint3d.scene.volumes import sphere, volume_mask
+from inpaint3d.stages.mask_authoring.author import check_room_around
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.run import run
 
@@ -311,3 +312,13 @@ def test_write_mask_round_trips(tmp_path):
     mask = np.random.default_rng(0).random((5, 7)) > 0.5
     write_mask(tmp_path / "m.png", mask)
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png"), mask)
+
+
+@pytest.mark.parametrize(("share", "fills"), [(0.5, False), (0.9, False), (0.95, True), (1.0, True)])
+def test_an_object_that_fills_its_view_is_refused(share: float, fills: bool) -> None:
+    found = np.arange(400).reshape(20, 20) < share * 400
+    if not fills:
+        check_room_around(found, "view_003")
+        return
+    with pytest.raises(ConfigurationError, match=r"fills \d+% of view 'view_003'.*under `background`"):
+        check_room_around(found, "view_003")

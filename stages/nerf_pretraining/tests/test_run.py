@@ -2,6 +2,7 @@
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,18 @@ def test_depths_are_nearer_the_room_than_any_constant(scene: SyntheticScene, fit
         assert maps["opacity.A"].mean() > 0.95
         errors.append(np.median(np.abs(maps["median.Z"] / depth - 1)))
     assert np.mean(errors) < constant / 2
+
+
+def test_right_cameras_leave_no_doubt(fitted: tuple[Store, Record]) -> None:
+    assert fitted[1].doubts == ()
+
+
+def test_pictures_under_the_cameras_of_others_cannot_be_right(store: Store, scene: SyntheticScene) -> None:
+    order = np.random.default_rng(0).permutation(len(scene.images))
+    shuffled = replace(scene, images=scene.images[order])
+    inputs = {"posed-capture": posed(store, shuffled), "effect-plan": plan(store, "view-dependence")}
+    (doubt,) = run(store, inputs, SMALL | {"steps": 200}).doubts
+    assert "no better than the mean colour of the photos" in doubt
 
 
 def test_learning_curve_rises_and_its_times_are_in_the_sidecar(fitted: tuple[Store, Record]) -> None:

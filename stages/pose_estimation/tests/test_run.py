@@ -1,5 +1,7 @@
 """The whole stage on the synthetic room: known cameras, estimated ones, and captures that cannot work."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -46,7 +48,14 @@ def known(camera: Camera) -> KnownCamera:
 
 
 def put(
-    store: Store, scene: SyntheticScene, *, cameras: bool, truth: bool = False, masks: bool = False, **exif: float
+    store: Store,
+    scene: SyntheticScene,
+    *,
+    cameras: bool,
+    truth: bool = False,
+    masks: bool = False,
+    others: Sequence[Camera] = (),
+    **exif: float,
 ) -> str:
     folder = store.private_folder()
     frames = []
@@ -58,7 +67,7 @@ def put(
             CapturedFrame(
                 name=name, path=f"frames/{name}.png", width=camera.width, height=camera.height,
                 camera=known(camera) if cameras else None, mask=f"masks/{name}.png" if masks else None,
-                exif=Exif(**exif),
+                exif=Exif(**exif), other_pose=others[i].pose if others else None,
             )
         )  # fmt: skip
     if truth:
@@ -157,6 +166,42 @@ def test_truth_with_cameras_joins_the_same_world(store: Store, passed_through: R
     np.testing.assert_allclose([matrix[:, :3] @ v.camera.centre + matrix[:, 3] for v in truth], given, atol=1e-7)
 
 
+def test_three_views_with_cameras_are_enough(store: Store):
+    scene = synthetic_scene(3, *SIZE, arc_deg=30)
+    record = solve(store, {"capture": put(store, scene, cameras=True)})
+    posed = store.open(record.outputs["posed-capture"], PosedCapture).metadata
+    assert (posed.registration.registered, len(posed.frames)) == (3, 3)
+    assert posed.registration.agreement is not None
+    assert posed.registration.agreement > 0.95
+    assert posed.registration.points > 20
+
+
+def rolled(scene: SyntheticScene) -> SyntheticScene:
+    return replace(scene, cameras=[*scene.cameras[3:], *scene.cameras[:3]])
+
+
+def test_cameras_in_the_wrong_order_are_refused(store: Store, scene: SyntheticScene):
+    with pytest.raises(BadInputError, match=r"contradict its pictures: \d+% of \d+ verified matches"):
+        solve(store, {"capture": put(store, rolled(scene), cameras=True)})
+
+
+def test_cameras_without_names_take_the_order_that_the_pictures_support(store: Store, scene: SyntheticScene):
+    """Truth views take it too: their poses are rows of the same file."""
+    truth = synthetic_scene(2, *SIZE, arc_deg=40)
+    inputs = {
+        "capture": put(store, rolled(scene), cameras=True, others=scene.cameras),
+        "truth": put(
+            store, replace(truth, cameras=truth.cameras[::-1]), cameras=True, truth=True, others=truth.cameras
+        ),
+    }
+    record = solve(store, inputs)
+    posed = store.open(record.outputs["posed-capture"], PosedCapture)
+    matrix = np.array(posed.metadata.source_from_normalised)
+    views = load_posed(posed) + load_posed(store.open(record.outputs["posed-truth"], PosedTruth))
+    for view, camera in zip(views, [*scene.cameras, *truth.cameras], strict=True):
+        np.testing.assert_allclose(matrix[:, :3] @ view.camera.centre + matrix[:, 3], camera.centre, atol=1e-7)
+
+
 @pytest.mark.slow
 def test_cameras_are_found_from_the_pictures_and_truth_beside_them(store: Store):
     scene, truth = synthetic_scene(10, 240, 180), synthetic_scene(2, 240, 180, arc_deg=40)
@@ -214,3 +259,34 @@ def test_known_views_agree_with_each_other(scene: SyntheticScene, store: Store, 
     assert (
         np.abs(warped - views[4].image())[seen].mean() < 0.4 * np.abs(views[3].image() - views[4].image())[seen].mean()
     )
+
+
+def moved_scene(scene: SyntheticScene, shift: np.ndarray) -> SyntheticScene:
+    """The room with each camera moved by a row of `shift` [views, 3]."""
+    poses = [
+        np.concatenate([c.rotation, (c.centre + s)[:, None]], 1) for c, s in zip(scene.cameras, shift, strict=True)
+    ]
+    cameras = [replace(c, world_from_cam=p) for c, p in zip(scene.cameras, poses, strict=True)]
+    return replace(scene, cameras=cameras)
+
+
+def test_coordinates_of_a_survey_are_nothing_special(store: Store, scene: SyntheticScene, passed_through: Record):
+    """UTM: half a million metres east, five million north. They were refused, or their rotations rounded away."""
+    away = np.array([512_000.25, 5_403_000.5, 210.125])
+    record = solve(
+        store, {"capture": put(store, moved_scene(scene, np.tile(away, (8, 1))), cameras=True)}, output_longest_side=80
+    )
+    there = store.open(record.outputs["posed-capture"], PosedCapture).metadata
+    here = store.open(passed_through.outputs["posed-capture"], PosedCapture).metadata
+    for moved, plain in zip(there.frames, here.frames, strict=True):
+        np.testing.assert_allclose(moved.world_from_cam, plain.world_from_cam, rtol=0, atol=1e-6)
+    assert there.registration.points == pytest.approx(here.registration.points, rel=0.02)
+    np.testing.assert_allclose(np.array(there.source_from_normalised)[:, 3], away + np.array([0, 0, 0.05]), atol=1e-2)
+
+
+@pytest.mark.parametrize("times", [20.0, 1000.0])
+def test_a_camera_far_away_from_all_others_is_refused_by_name(store: Store, scene: SyntheticScene, times: float):
+    shift = np.zeros((8, 3))
+    shift[3] = (times - 1) * scene.cameras[3].centre
+    with pytest.raises(BadInputError, match=r"the camera of view_003 is \d+ times as far.*remove the frame"):
+        solve(store, {"capture": put(store, moved_scene(scene, shift), cameras=True)}, output_longest_side=80)

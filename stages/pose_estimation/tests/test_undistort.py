@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -22,7 +23,27 @@ def ramp() -> Image:
     return (np.stack([x, y, x * 0], -1) / 120).astype(np.float32)
 
 
-@pytest.mark.parametrize("camera", [BARREL, CUSHION])
+FISHEYES = [
+    lens("OPENCV_FISHEYE", 60.0, 62.0, 61.0, 44.0, 0.03, -0.01, 0.002, -0.0005),
+    lens("SIMPLE_RADIAL_FISHEYE", 60.0, 60.0, 45.0, 0.0),  # no parameter, and bent all the same
+]
+
+
+@pytest.mark.parametrize("camera", FISHEYES)
+def test_fisheyes_are_straightened_as_opencv_does(camera):
+    """cv2.fisheye has the same model (Kannala and Brandt, PAMI 2006), with pixels whole at their centres."""
+    flat = Undistorter(camera, 120)
+    captured = np.random.default_rng(0).uniform((5, 5), (115, 85), (200, 2))
+    fx, fy = camera.focal_length_x, camera.focal_length_y
+    matrix = np.array([[fx, 0, camera.principal_point_x - 0.5], [0, fy, camera.principal_point_y - 0.5], [0, 0, 1]])
+    bends = np.zeros(4)
+    bends[: len(camera.extra_params_idxs())] = np.array(camera.params)[list(camera.extra_params_idxs())]
+    expected = cv2.fisheye.undistortPoints(captured[:, None] - 0.5, matrix, bends, P=matrix)[:, 0] + 0.5
+    np.testing.assert_allclose(flat.pixels(captured), expected, atol=1e-3)
+    assert np.abs(expected - captured).max() > 10
+
+
+@pytest.mark.parametrize("camera", [BARREL, CUSHION, *FISHEYES])
 @pytest.mark.parametrize("side", [120, 60])
 def test_a_pixel_of_the_pinhole_shows_what_the_lens_bent_there(camera, side):
     flat = Undistorter(camera, side)

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from inpaint3d.contracts.models.artifacts import (
     LensModel,
     MaskSet,
     MaskView,
+    MetricScale,
     PosedCapture,
     Primitive,
     RadianceFieldArtifact,
@@ -164,6 +166,18 @@ def test_a_mask_with_primitives_is_drawn_as_such(store, scene, inputs):
     assert stage.GetPrimAtPath("/Scene/Mask/Volume_0").IsA(UsdGeom.Sphere)
     assert not stage.GetPrimAtPath("/Scene/Mask/Hull")
     assert metadata.variants == ("inpainted",)
+
+
+@pytest.mark.parametrize(("told", "asked", "expected"), [(0.3, None, 0.3), (None, None, None), (0.3, 0.7, 0.7)])
+def test_the_scale_is_that_of_the_posed_capture_unless_a_person_says_other(store, inputs, told, asked, expected):
+    posed = store.open(inputs["posed-capture"], PosedCapture)
+    scale = None if told is None else MetricScale(metres_per_unit=told, uncertainty=0.01, evidence="a marker")
+    folder = store.private_folder()
+    shutil.copytree(posed.root, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("artifact.json"))
+    known = store.put(folder, "posed-capture", posed.metadata.model_copy(update={"scale": scale}))
+    chosen = {} if asked is None else {"metres_per_unit": asked}
+    _, metadata = exported(store, inputs | {"posed-capture": known}, original=False, **chosen)
+    assert metadata.metres_per_unit == expected
 
 
 def test_views_that_the_field_does_not_store_are_rendered(store, inputs):

@@ -65,11 +65,19 @@ def test_validators_are_really_run(folder):
     assert not any(str(folder) in f.message for f in findings)
 
 
+def test_a_scale_that_nothing_tells_is_unknown(folder):
+    """The validators ask for a length; that it means nothing is said beside it."""
+    layer = written(folder, metres_per_unit=None)
+    assert Usd.Stage.Open(str(layer)).GetRootLayer().customLayerData == {"inpaint3d:scale": "unknown"}
+    assert validate(folder, ["scene.usdc"]) == []
+
+
 def test_stage_says_what_a_production_asks(folder):
     stage = Usd.Stage.Open(str(written(folder)))
     assert stage.GetDefaultPrim().GetPath() == "/Scene"
     assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.5
+    assert stage.GetRootLayer().customLayerData == {"inpaint3d:scale": "known"}
     variants = stage.GetDefaultPrim().GetVariantSet("content")
     assert (variants.GetVariantNames(), variants.GetVariantSelection()) == (["inpainted", "original"], "inpainted")
     texture = stage.GetPrimAtPath("/Scene/Surface/Material/Texture").GetAttribute("inputs:file")

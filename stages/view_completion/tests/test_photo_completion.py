@@ -7,10 +7,11 @@ from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.view_completion.config import PhotoCompletion
-from inpaint3d.stages.view_completion.photo_completion import Painting, complete_from_photos
+from inpaint3d.stages.view_completion.photo_completion import complete_from_photos
 
 NO_CODES = AppearanceMap(None)
 THREE = PhotoCompletion(max_reference_views=3)
@@ -40,7 +41,9 @@ def error(room: SyntheticScene, pictures: list[np.ndarray]) -> float:
 def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
     """With the true depth behind the ball the pictures come far nearer to the empty room than a smooth filling."""
     views = views_of(large)
-    made, words, references = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
+    made, words, references, _ = complete_from_photos(
+        views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0
+    )
     pictures = [one.picture for one in made]
     smooth = [fill_telea(v.image, v.hole) for v in views]
     assert error(large, pictures) < 0.6 * error(large, smooth)
@@ -53,7 +56,7 @@ def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
 def test_what_is_made_up_is_the_same_from_every_view(large: SyntheticScene) -> None:
     """A point of the floor under the ball has one colour, however many views it is seen from."""
     views = views_of(large)
-    made, _, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
     pictures = [one.picture for one in made]
     smooth = [fill_telea(v.image, v.hole) for v in views]
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -81,7 +84,7 @@ def test_a_surface_that_no_photo_shows_is_spanned_and_carried(large: SyntheticSc
         under_the_ball = hole & (np.hypot(points[..., 0], points[..., 1]) < 0.2)
         assert under_the_ball.any()
         lost[name] = np.where(under_the_ball, 0.4 * depth, depth).astype(np.float32)
-    made, _, _ = complete_from_photos(views, lost, large.points.xyz, NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, lost, large.points.xyz, NO_CODES, THREE, seed=0)
     for view, one, depth in zip(views, made, large.empty_depths, strict=True):
         assert one.depth is not None
         wrong = np.abs(lost[view.name] / depth - 1)[view.hole]
@@ -96,7 +99,7 @@ def test_a_soft_depth_is_made_flat_where_points_say_so(large: SyntheticScene) ->
     nothing = np.zeros((0, 3), np.float32)
     apart = {}
     for name, points in (("with", large.points.xyz), ("without", nothing)):
-        made, _, _ = complete_from_photos(views, soft, points, NO_CODES, THREE, seed=0)
+        made, _, _, _ = complete_from_photos(views, soft, points, NO_CODES, THREE, seed=0)
         off = [
             np.abs(one.depth / true - 1)[view.hole]
             for view, one, true in zip(views, made, large.empty_depths, strict=True)
@@ -124,7 +127,7 @@ def test_known_elsewhere_or_made_up_is_told_apart(large: SyntheticScene) -> None
 def test_every_filled_pixel_says_where_it_came_from(large: SyntheticScene) -> None:
     """All of the hole and nothing else; a pixel that is a photo's has the colour that the photo has there."""
     views = views_of(large)
-    made, _, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
     for view, one in zip(views, made, strict=True):
         np.testing.assert_array_equal(one.sources > 0, view.hole)
     sources = np.concatenate([one.sources[one.sources > 0] for one in made])
@@ -147,7 +150,7 @@ def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticSc
     views = views_of(large)
     painted = np.broadcast_to(np.array([1.0, 0.0, 1.0], np.float32), views[0].image.shape)
     everywhere = np.ones_like(views[0].hole)
-    made, words, _ = complete_from_photos(
+    made, words, _, _ = complete_from_photos(
         views,
         depths_of(large),
         large.points.xyz,
@@ -167,12 +170,48 @@ def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticSc
     assert share > 0.3
 
 
-def test_of_two_paintings_of_one_place_the_first_stays(large: SyntheticScene) -> None:
+def test_of_two_paintings_of_one_place_the_nearest_counts_and_the_contradiction_is_said(large: SyntheticScene) -> None:
     views = views_of(large)
     first, second = (np.broadcast_to(np.array(c, np.float32), views[0].image.shape) for c in ((1, 0, 1), (0, 1, 0)))
     everywhere = np.ones_like(views[0].hole)
-    made, _, _ = complete_from_photos(
+    made, _, _, contradictions = complete_from_photos(
         views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0,
-        paintings={views[0].name: Painting(first, everywhere), views[1].name: Painting(second, everywhere)},
+        paintings={views[0].name: Painting(first, everywhere), views[7].name: Painting(second, everywhere)},
     )  # fmt: skip
-    np.testing.assert_allclose(made[0].picture[views[0].hole].mean(0), [1, 0, 1], atol=1e-6)
+    for index, colour in ((0, (1, 0, 1)), (7, (0, 1, 0))):
+        np.testing.assert_allclose(made[index].picture[views[index].hole].mean(0), colour, atol=1e-6)
+    for index, colour in ((1, (1, 0, 1)), (6, (0, 1, 0))):
+        carried = made[index].sources == SOURCE_CODES["painted"]
+        np.testing.assert_allclose(np.median(made[index].picture[carried], 0), colour, atol=0.05)
+    (found,) = contradictions
+    assert found.names == (views[0].name, views[7].name)
+    assert found.shared > 0.2
+    assert found.difference == pytest.approx(1, abs=0.1)
+
+
+def test_what_is_copied_by_example_is_noted_to_the_pixel(large: SyntheticScene) -> None:
+    """Where nothing was evened out the picture is what the noted pixel shows; copies lie outside what they fill."""
+    views = views_of(large)
+    made, _, references, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
+    noted = [one for one in made if one.copies is not None]
+    assert {one.name for one in noted} == set(references)
+    for one in noted:
+        copies = one.copies
+        assert copies is not None
+        copied = (copies >= 0).all(-1)
+        assert (one.sources[copied] == SOURCE_CODES["example"]).all()
+        x, y = copies[copied].astype(int).T
+        assert not copied[y, x].any()
+        assert np.median(np.abs(one.picture[copied] - one.picture[y, x])) < 0.1
+
+
+def test_a_view_that_is_all_hole_keeps_the_surface_of_the_field() -> None:
+    """Nothing sure is left to span a surface from: 1 / 0 would put it at infinity, and rays to it with it."""
+    room = synthetic_scene(views=4)
+    views, depths = views_of(room), depths_of(room)
+    everything = np.ones_like(views[1].hole)
+    views[1] = MaskedView(views[1].name, views[1].camera, 0 * views[1].image, everything, ~everything)
+    made, _, _, _ = complete_from_photos(views, depths, room.points.xyz, NO_CODES, THREE, seed=0)
+    assert all(
+        one.depth is not None and np.isfinite(one.depth).all() and np.isfinite(one.picture).all() for one in made
+    )

@@ -21,11 +21,12 @@ from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import open_store
-from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli
+from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, paint_cli
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     STORE,
+    AcceptDoubtful,
     AsJson,
     Capture,
     Engine,
@@ -93,6 +94,7 @@ def run(
     log_format: LogFormat = "auto",
     wait: Wait = False,
     replace: Replace = False,
+    accept_doubtful: AcceptDoubtful = False,
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
     configured, store = ConfiguredRequest(request, selection), open_store(places.store)
@@ -104,7 +106,7 @@ def run(
         with own_folder(folder, wait=wait), store.shared():
             planner = configured.planner(store, path, scene_name, images)
             check_capture(planner, replace=replace)
-            record, code = _carry_out(planner, selection, folder, log_format, runner)
+            record, code = _carry_out(planner, selection, folder, log_format, runner, accept_doubtful=accept_doubtful)
         codes.append(code)
         if record.status == "stopped":
             break  # whoever stopped this scene meant the others too
@@ -149,13 +151,20 @@ def evaluate_dataset(
 
 
 def _carry_out(
-    planner: Planner, selection: Selection, folder: Path, log_format: str, runner: Runner
+    planner: Planner,
+    selection: Selection,
+    folder: Path,
+    log_format: str,
+    runner: Runner,
+    *,
+    accept_doubtful: bool = False,
 ) -> tuple[RunRecord, int]:
     """Run, leave results in the folder, say how it ended; the record and the exit code."""
     if left_out := planner.configured.left_out:
         said = ", ".join(f"{node} ({reason})" for node, reason in left_out.items())
         _say(f"{planner.name}: left out: {said}")
-    scheduler = Scheduler(planner, selection, choose_display(log_format, planner.pipeline.order), folder, runner)
+    display = choose_display(log_format, planner.pipeline.order)
+    scheduler = Scheduler(planner, selection, display, folder, runner, accept_doubtful=accept_doubtful)
     try:
         record = scheduler.run()
     except BaseException:
@@ -218,5 +227,6 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 app.add_typer(cluster_cli.emit_app, name="emit")
 app.add_typer(dev_cli.dev_app, name="dev")
+app.add_typer(paint_cli.paint_app, name="paint")
 cluster_cli.add_to(app)
 history_cli.add_to(app)

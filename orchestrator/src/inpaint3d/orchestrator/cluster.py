@@ -20,12 +20,16 @@ from inpaint3d.orchestrator.emit.argo import ASKED, LABEL, emit
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.emit.documents import Document, dump
 from inpaint3d.orchestrator.history import History, this_machine
-from inpaint3d.orchestrator.intake import MASK_REQUEST, take_mask_request
+from inpaint3d.orchestrator.intake import MASK_REQUEST, PAINTED, take_mask_request
+from inpaint3d.orchestrator.painting import take_painted
 from inpaint3d.orchestrator.plan import Planner, Selection, preview
 from inpaint3d.orchestrator.workflows import supply_patch
 
 WORKFLOWS, MAIN = "workflows.argoproj.io", "main"
 TRIES = 5
+
+SUPPLIED = {MASK_REQUEST: "masks", PAINTED: "paintings"}
+"""External that a scene may wait for -> where the store remembers what was supplied."""
 
 
 def prepare(
@@ -115,8 +119,12 @@ def rerun(
     if unknown := sorted(set(scenes) - set(known)):
         raise ConfigurationError(f"{name} has no scene {', '.join(unknown)}; it has {', '.join(known)}")
     picked = tuple(s for s in known.values() if not scenes or s.name in scenes)
-    waits = submission.awaitMasks and not all(MASK_REQUEST in s.externals for s in picked)
-    chosen = submission.model_copy(update={"scenes": picked, "awaitMasks": waits})
+    there = {external for external in SUPPLIED if all(external in s.externals for s in picked)}
+    waits = {
+        "awaitMasks": submission.awaitMasks and MASK_REQUEST not in there,
+        "awaitPaintings": submission.awaitPaintings and PAINTED not in there,
+    }
+    chosen = submission.model_copy(update={"scenes": picked, **waits})
     for scene in chosen.scenes:
         row = next(r for r in _rows(store, configured, chosen, scene) if r.node == node)
         if row.key is not None:
@@ -130,33 +138,33 @@ def load_submission(store: Store, name: str) -> Submission:
         names = ", ".join(n.removesuffix(".json") for n in store.names("submissions")) or "none yet"
         raise ConfigurationError(f"nothing was submitted as {name}; there are {names}")
     submission = Submission.model_validate_json(data)
-    supplied = {n: (store.read(f"masks/{name}/{n}") or b"").decode() for n in store.names(f"masks/{name}")}
-    scenes = [
-        s.model_copy(update={"externals": {**s.externals, MASK_REQUEST: supplied[s.name]}}) if s.name in supplied else s
-        for s in submission.scenes
-    ]
+    scenes: list[Scene] = []
+    for scene in submission.scenes:
+        found = {e: store.read(f"{folder}/{name}/{scene.name}") for e, folder in SUPPLIED.items()}
+        supplied = {e: data.decode() for e, data in found.items() if data is not None}
+        scenes.append(scene.model_copy(update={"externals": {**scene.externals, **supplied}}))
     return submission.model_copy(update={"scenes": tuple(scenes)})
 
 
-def supply_mask(store: Store, name: str, scene: str, request: Path) -> Digest:
-    """Take the mask request that a scene waits for into the store, and remember it for the scene's record."""
+def supply(store: Store, name: str, scene: str, external: str, path: Path) -> Digest:
+    """Take what a scene waits for into the store, and remember it for the scene's record."""
     if scene not in (known := [s.name for s in load_submission(store, name).scenes]):
         raise ConfigurationError(f"{name} has no scene {scene}; it has {', '.join(known)}")
-    digest = take_mask_request(store, request)
-    store.write(f"masks/{name}/{scene}", digest.encode())
+    digest = take_mask_request(store, path) if external == MASK_REQUEST else take_painted(store, path)
+    store.write(f"{SUPPLIED[external]}/{name}/{scene}", digest.encode())
     return digest
 
 
-def give_mask(store: Store, cluster: ClusterSpec, name: str, scene: str, request: Path) -> str:
-    """Take a scene's mask request into the store and let its Workflow, and no other scene of it, go on.
+def give(store: Store, cluster: ClusterSpec, name: str, scene: str, external: str, path: Path) -> str:
+    """Take what a scene waits for into the store and let its Workflow, and no other scene of it, go on.
 
     Returns the Workflow's name. ConfigurationError where nothing of the scene waits; RetryableError where the Workflow
     changed each time that it was to be told.
     """
-    digest = supply_mask(store, name, scene, request)
+    digest = supply(store, name, scene, external, path)
     for _ in range(TRIES):
         for workflow in list_workflows(cluster, name):
-            patch = supply_patch(workflow, scene, digest, datetime.datetime.now(datetime.UTC))
+            patch = supply_patch(workflow, scene, external, digest, datetime.datetime.now(datetime.UTC))
             if patch is None:
                 continue
             found = workflow["metadata"]["name"]
@@ -168,7 +176,9 @@ def give_mask(store: Store, cluster: ClusterSpec, name: str, scene: str, request
                 break  # the controller was faster: read it again
             return found
         else:
-            raise ConfigurationError(f"nothing of {scene} waits for a mask; `inpaint3d status {name}` says where it is")
+            raise ConfigurationError(
+                f"nothing of {scene} waits for its {external}; `inpaint3d status {name}` says where it is"
+            )
     raise RetryableError(f"the Workflow of {scene} changed {TRIES} times while it was to be told; try again")
 
 

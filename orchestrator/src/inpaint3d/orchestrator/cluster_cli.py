@@ -16,13 +16,14 @@ from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.untrusted import UntrustedError, parse_yaml_documents
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator import cluster as clusters
-from inpaint3d.orchestrator.emit.argo import AWAIT_MASK
+from inpaint3d.orchestrator.emit.argo import AWAIT
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.emit.documents import dump
-from inpaint3d.orchestrator.intake import list_scenes, name_run
+from inpaint3d.orchestrator.intake import MASK_REQUEST, PAINTED, list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     IMAGES,
     STORE,
+    AcceptDoubtful,
     Capture,
     Images,
     PipelinePath,
@@ -44,6 +45,9 @@ Cluster = Annotated[Path, typer.Option("--cluster", envvar="INPAINT3D_CLUSTER", 
 AwaitMasks = Annotated[
     bool, typer.Option("--await-masks", help="wait before mask-authoring for somebody to author one")
 ]
+AwaitPaintings = Annotated[
+    bool, typer.Option("--await-paintings", help="wait before view-completion for somebody to paint views")
+]
 SubmissionName = Annotated[str | None, typer.Option("--name", help="default: the capture's folder name")]
 CLUSTER = Path("cluster.yaml")
 WATCH_S = 10.0
@@ -54,6 +58,7 @@ def add_to(app: typer.Typer) -> None:
     for command in (submit, status, logs, rerun, record):
         app.command()(command)
     app.command(name="give-mask")(give_mask)
+    app.command(name="give-painting")(give_painting)
 
 
 def _cluster(path: Path) -> ClusterSpec:
@@ -68,6 +73,8 @@ def argo(
     name: SubmissionName = None,
     scene: Scenes = None,
     await_masks: AwaitMasks = False,
+    await_paintings: AwaitPaintings = False,
+    accept_doubtful: AcceptDoubtful = False,
     cluster: Cluster = CLUSTER,
     images: Images = IMAGES,
     replace: Annotated[bool, typer.Option("--replace", help="what was emitted under the name before")] = False,
@@ -84,7 +91,10 @@ def argo(
         seed=request.seed,
         device=request.device,
         stub=request.stub,
+        want=tuple(request.want or ()),
         awaitMasks=await_masks,
+        awaitPaintings=await_paintings,
+        acceptDoubtful=accept_doubtful,
         images=load_document(images, ImagesSpec)[0].spec,
         scenes=tuple(Scene(name=n, externals=configured.take_externals(store, p)) for p, n in scenes),
     )
@@ -140,7 +150,7 @@ def status(
     phases = {row.phase for row in rows} | {clusters.phase_of(workflow) for workflow in workflows}
     if phases & {"Failed", "Error"}:
         raise typer.Exit(BadInputError.exit_code)
-    if "NoImage" in phases or any(row.stage == AWAIT_MASK and row.phase == "Running" for row in rows):
+    if "NoImage" in phases or any(row.stage in AWAIT.values() and row.phase == "Running" for row in rows):
         raise typer.Exit(WaitingError.exit_code)
 
 
@@ -197,6 +207,15 @@ def record(
 
 def give_mask(name: str, scene: str, request: Path, cluster: Cluster = CLUSTER) -> None:
     """Take the mask request of a scene that waits for one, and let that scene go on."""
+    _give(name, scene, MASK_REQUEST, request, cluster)
+
+
+def give_painting(name: str, scene: str, folder: Path, cluster: Cluster = CLUSTER) -> None:
+    """Take the painted views of a scene that waits for them, and let that scene go on."""
+    _give(name, scene, PAINTED, folder, cluster)
+
+
+def _give(name: str, scene: str, external: str, path: Path, cluster: Path) -> None:
     where = _cluster(cluster)
-    workflow = clusters.give_mask(open_store(where.spec.store), where, name, scene, request)
+    workflow = clusters.give(open_store(where.spec.store), where, name, scene, external, path)
     sys.stdout.write(f"{workflow}: {scene} goes on\n")

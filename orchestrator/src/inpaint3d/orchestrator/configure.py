@@ -21,7 +21,7 @@ class Settings:
     """Whether the controls are wanted too."""
     seed: int = 0
     named: tuple[str, ...] = ()
-    """Nodes that a selection names: wanted too."""
+    """Nodes that a selection or `--want` names: wanted too."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,12 @@ def configure(
 
 
 def configure_submission(pipeline: Pipeline, submission: Submission) -> ConfiguredPipeline:
-    """The pipeline of a submission, whose scenes all have the same externals but for masks that come later."""
+    """The pipeline of a submission, whose scenes all have the same externals but for what comes later."""
     given = {external for scene in submission.scenes for external in scene.externals}
-    given |= {"mask-request"} if submission.awaitMasks else set()
-    settings = Settings(submission.preset, submission.overrides, submission.compare, submission.seed)
+    given |= set(submission.awaited)
+    settings = Settings(
+        submission.preset, submission.overrides, submission.compare, submission.seed, named=submission.want
+    )
     return configure(pipeline, settings, given)
 
 

@@ -14,9 +14,11 @@ from inpaint3d.contracts.models.manifest import Manifest, describe_file, schema_
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import Store, load_manifest
 from inpaint3d.orchestrator.diffusers_pipeline import find_pipeline_folder, list_pipeline_files, read_kind
+from inpaint3d.orchestrator.painting import take_painted
 from inpaint3d.orchestrator.source_files import list_source_files
 
 MASK_REQUEST, PRIOR, CORPUS, DIFFUSERS = "mask-request", "pretrained-prior", "image-corpus", "diffusers-pipeline"
+PAINTED = "painted-views"
 MANY_VIEWS = 5
 
 
@@ -66,12 +68,14 @@ def take_artifact(store: Store, path: Path, schema: str) -> Digest:
     return manifest.digest
 
 
-def locate_externals(*, mask: Path | None, prior: Path | None, corpus: Path | None) -> dict[str, Path]:
+def locate_externals(
+    *, mask: Path | None, prior: Path | None, corpus: Path | None, painted: Path | None = None
+) -> dict[str, Path]:
     """External -> what a command line gives for it.
 
     prior: a diffusion-prior artifact, or a diffusers pipeline (`diffusers_pipeline.find_pipeline_folder`).
     """
-    paths = {MASK_REQUEST: mask, PRIOR: prior, CORPUS: corpus}
+    paths = {MASK_REQUEST: mask, PRIOR: prior, CORPUS: corpus, PAINTED: painted}
     if prior is not None and (folder := find_pipeline_folder(prior)) is not None:
         paths |= {PRIOR: None, DIFFUSERS: folder}
     return {external: path for external, path in paths.items() if path is not None}
@@ -97,6 +101,8 @@ def take_externals(store: Store, pipeline: Pipeline, capture: Path, paths: Mappi
 def _take(store: Store, external: str, path: Path, schema: str) -> Digest:
     if external == MASK_REQUEST:
         return take_mask_request(store, path)
+    if external == PAINTED:
+        return take_painted(store, path)
     return take_pipeline(store, path) if external == DIFFUSERS else take_artifact(store, path, schema)
 
 

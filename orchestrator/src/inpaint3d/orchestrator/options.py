@@ -57,8 +57,18 @@ Prior = Annotated[
     ),
 ]
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
+Want = Annotated[
+    list[str] | None,
+    typer.Option("--want", help="also run this stage, which no preset wants (plate-export); may be repeated"),
+]
+Painted = Annotated[
+    Path | None, typer.Option(help="folder that `inpaint3d paint ask` wrote, painted in: what is made up, by hand")
+]
 Wait = Annotated[bool, typer.Option("--wait", help="wait for another run of the same name to end")]
 Replace = Annotated[bool, typer.Option("--replace", help="take over a name whose last run was of another capture")]
+AcceptDoubtful = Annotated[
+    bool, typer.Option("--accept-doubtful", help="go on where a result cannot be right; the report begins with why")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 
 STORE = ".inpaint3d/store"
@@ -81,6 +91,8 @@ class Request:
     # No options of every command: those of `SceneRequest` have them.
     mask: Path | None = None
     compare: bool = False
+    painted: Path | None = None
+    want: list[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -89,6 +101,8 @@ class SceneRequest(Request):
 
     mask: Mask = None
     compare: Compare = False
+    painted: Painted = None
+    want: Want = None
 
 
 @dataclass(frozen=True)

@@ -217,6 +217,7 @@ def add_result(run: NodeRun, record: Record) -> NodeRun:
             "cpu_s": timings.get("cpu_s"),
             "peak_memory_bytes": timings.get("peak_memory_bytes"),
             "non_finite": timings.get("non_finite", {}),
+            "doubts": record.doubts,
         }
     )
 

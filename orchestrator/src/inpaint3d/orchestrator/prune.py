@@ -79,9 +79,11 @@ class PrunedPipeline:
             return "a control; --compare runs it"
         readers = [n for n in self.whole.order if node in self.whole.upstream(n)]
         said = [str(u) for u in self._turned_down(node)]
+        if not readers:
+            return f"wanted by no preset; --want {node} runs it"
         said += [f"{n}, which reads it, is left out" for n in readers if n not in self.pipeline.nodes]
         if not said:
-            said = [f"{n} reads it only if it is made anyway" for n in readers] or ["no node reads it"]
+            said = [f"{n} reads it only if it is made anyway" for n in readers]
         return "nothing asks for it: " + "; ".join(said)
 
     def _turned_down(self, node: str) -> list[Unread]:

@@ -1,4 +1,4 @@
-"""What a run leaves where a person looks: `runs/NAME/` with report.html, scene.usdz, metrics.json and pictures/."""
+"""What a run leaves where a person looks: report.html, scene.usdz, metrics.json, pictures/, plates/ in `runs/NAME/`."""
 
 import json
 import shutil
@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.models.artifacts import Evaluation, UsdScene
+from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
 from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.orchestrator.times import render_times
-from inpaint3d.report.page import RUN_MARKER
+from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
 
 
 def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
@@ -23,17 +23,27 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         protocols = artifact.metadata.protocols
         _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
         html = artifact.path(artifact.metadata.report).read_text()
-        if RUN_MARKER not in html:
-            raise ArtifactError(
-                f"{artifact.metadata.report} of {digest} lacks the line {RUN_MARKER}; re-run evaluation"
-            )
-        _write(folder / "report.html", html.replace(RUN_MARKER, render_times(store, record)).encode())
+        for marker, section in _sections(store, record).items():
+            if marker not in html:
+                raise ArtifactError(
+                    f"{artifact.metadata.report} of {digest} lacks the line {marker}; re-run evaluation"
+                )
+            html = html.replace(marker, section)
+        _write(folder / "report.html", html.encode())
     if digest := outputs.get("usd-export", {}).get("usd-scene"):
         scene = store.open(digest, UsdScene)
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
+    if digest := outputs.get("plate-export", {}).get("clean-plates"):
+        _copy_plates(store.open(digest, CleanPlates), folder / "plates")
     report = make_report(record, protocols)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
     return report
+
+
+def _sections(store: Store, record: RunRecord) -> dict[str, str]:
+    """What a run adds to the page of its evaluation, by the line that it takes the place of."""
+    doubts = render("inpaint3d.orchestrator", "doubts.html.j2", doubts=record.doubts) if record.doubts else ""
+    return {DOUBT_MARKER: doubts, RUN_MARKER: render_times(store, record)}
 
 
 def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
@@ -57,6 +67,7 @@ def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
         run=record.id,
         preset=record.preset,
         status=record.status,
+        doubts=record.doubts,
         machine=record.machine,
         stages=stages,
         protocols=protocols,
@@ -73,6 +84,19 @@ def _copy_pictures(root: Path, pictures: tuple[str, ...], target: Path) -> None:
     target.mkdir()
     for picture in pictures:
         _write(target / Path(picture).name, (root / picture).read_bytes())
+
+
+def _copy_plates(plates: Artifact[CleanPlates], target: Path) -> None:
+    """The data set as other tools read it, whole or not at all."""
+    staged = target.with_name(f".{target.name}.new")
+    shutil.rmtree(staged, ignore_errors=True)
+    record = plates.metadata
+    files = [*record.model, record.transforms, *(f for p in record.plates for f in (p.picture, p.mask))]
+    for file in files:
+        (staged / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(plates.path(file), staged / file)
+    shutil.rmtree(target, ignore_errors=True)
+    staged.replace(target)
 
 
 def _write(path: Path, data: bytes) -> None:

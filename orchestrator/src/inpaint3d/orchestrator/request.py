@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.cluster import Image
 from inpaint3d.contracts.models.pipeline import Pipeline
@@ -13,6 +14,7 @@ from inpaint3d.orchestrator.intake import (
     CORPUS,
     DIFFUSERS,
     MASK_REQUEST,
+    PAINTED,
     PRIOR,
     list_externals,
     locate_externals,
@@ -23,7 +25,7 @@ from inpaint3d.orchestrator.options import Request
 from inpaint3d.orchestrator.parameters import parse_overrides
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline
 
-OPTIONS = {MASK_REQUEST: "--mask", PRIOR: "--prior", DIFFUSERS: "--prior", CORPUS: "--corpus"}
+OPTIONS = {MASK_REQUEST: "--mask", PRIOR: "--prior", DIFFUSERS: "--prior", CORPUS: "--corpus", PAINTED: "--painted"}
 
 
 class ConfiguredRequest:
@@ -34,10 +36,16 @@ class ConfiguredRequest:
         self.request, self.whole = request, Pipeline(find_pipeline(request.pipeline))
         preset = request.preset or self.whole.spec.spec.defaultPreset
         self.overrides = parse_overrides(self.whole.under(preset), request.assignments or [])
-        self.paths = locate_externals(mask=request.mask, prior=request.prior, corpus=request.corpus)
+        self.paths = locate_externals(
+            mask=request.mask, prior=request.prior, corpus=request.corpus, painted=request.painted
+        )
+        if unknown := [node for node in request.want or () if node not in self.whole.order]:
+            raise ConfigurationError(
+                f"--want {unknown[0]}: no such stage in {self.whole.path}; there are {', '.join(self.whole.order)}"
+            )
         self.pipeline = configure(
             self.whole,
-            Settings(preset, self.overrides, request.compare, request.seed, selection.named),
+            Settings(preset, self.overrides, request.compare, request.seed, (*selection.named, *(request.want or ()))),
             list_externals(self.whole, self.paths),
             {external: f"{OPTIONS[external]} {path}" for external, path in self.paths.items()},
         )

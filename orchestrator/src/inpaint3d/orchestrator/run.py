@@ -15,6 +15,7 @@ from typing import Any, Literal
 from inpaint3d.contracts.errors import (
     EXIT_CODES,
     ConfigurationError,
+    DoubtfulError,
     Inpaint3dError,
     InterruptedRun,
     RetryableError,
@@ -45,6 +46,7 @@ class Scheduler:
     folder: Path
     runner: Runner = field(default_factory=ProcessRunner)
     cores: int = field(default_factory=lambda: this_machine().cores)
+    accept_doubtful: bool = False
     _running: dict[str, RunningStage] = field(default_factory=dict[str, RunningStage])
     _tasks: dict[str, Task] = field(default_factory=dict[str, Task])
     _results: dict[str, NodeRun] = field(default_factory=dict[str, NodeRun])
@@ -156,6 +158,7 @@ class Scheduler:
             stub=self.planner.stub,
             threads=threads,
             die_with_parent=True,
+            accept_doubtful=True,  # whether to go on is decided by the record, which may be an earlier run's
         )
         log = self.folder / "logs" / f"{task.node}.log"
         self._running[task.node] = self._stages.start(task.node, spec, task.key, invocation, log)
@@ -208,10 +211,14 @@ class Scheduler:
         self._close(task, status, error=message, exit_code=code)
 
     def _accept(self, task: Task, status: Status, record: Record) -> None:
-        self.planner.outputs[task.node] = record.outputs
         run = add_result(self._node_run(task, status), record)
+        if run.doubts and not self.accept_doubtful:
+            doubt = DoubtfulError(run.doubts)
+            run = run.model_copy(update={"status": "failed", "error": str(doubt), "exit_code": doubt.exit_code})
+        else:
+            self.planner.outputs[task.node] = record.outputs
         self._results[task.node] = run
-        self.display.node(task.node, status, task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
+        self.display.node(task.node, run.status, run.error or task.reason, wall_s=run.wall_s, cpu_s=run.cpu_s)
         if (problem := self.planner.request_problem(task.node)) is not None:
             self._refuse_request(problem)
         if status == "done":  # of what is cached the next save tells, that of the end at the latest

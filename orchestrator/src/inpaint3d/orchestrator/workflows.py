@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import cast
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.orchestrator.emit.argo import AWAIT_MASK
+from inpaint3d.orchestrator.emit.argo import AWAIT
 from inpaint3d.orchestrator.emit.documents import Document
-from inpaint3d.orchestrator.intake import MASK_REQUEST
 
 SCENE = "scene"
 """The template of one scene's DAG, and the parameter of it that is the scene's name."""
@@ -74,8 +73,8 @@ def is_over(workflow: Document) -> bool:
     return status.get("phase") in ENDED
 
 
-def supply_patch(workflow: Document, scene: str, digest: str, now: datetime.datetime) -> Document | None:
-    """The merge patch that hands a scene's mask to the node that waits for it; None where no node of it waits.
+def supply_patch(workflow: Document, scene: str, external: str, digest: str, now: datetime.datetime) -> Document | None:
+    """The merge patch that hands an external of a scene to the node that waits for it; None where no node of it waits.
 
     It holds for the version of the Workflow that was read; the API server refuses it for another (409).
     """
@@ -84,14 +83,14 @@ def supply_patch(workflow: Document, scene: str, digest: str, now: datetime.date
         (key, node)
         for key, node in nodes.items()
         if node.get("type") == "Suspend"
-        and node.get("templateName") == AWAIT_MASK
+        and node.get("templateName") == AWAIT[external]
         and node.get("phase") not in ENDED
         and scene_of(node, nodes) == scene
     ]
     if not waiting:
         return None
     key, node = waiting[0]
-    parameters: list[Document] = [{"name": MASK_REQUEST, "value": digest, "valueFrom": {"supplied": {}}}]
+    parameters: list[Document] = [{"name": external, "value": digest, "valueFrom": {"supplied": {}}}]
     change: Document = {
         "phase": "Succeeded",
         "finishedAt": now.strftime("%Y-%m-%dT%H:%M:%SZ"),

@@ -1,11 +1,13 @@
 """One exception tree, and the exit code that each branch leaves behind.
 
     Inpaint3dError                1   a bug, or an error nobody foresaw
+    ├── NonFiniteError                numbers of a fit are not finite, and no input is to blame
     ├── ConfigurationError        2   a parameter, pipeline.yaml, stage.yaml or request is wrong
     ├── BadInputError             3   the data cannot work, or an artifact is not what its schema says
     │   └── ArtifactError             an artifact is missing, damaged or malformed
     ├── WaitingError              4   a person has to do something first (author a mask)
     ├── StorageError              5   the disk is full or fails, or the store cannot be written
+    ├── DoubtfulError             6   a result is there, but its own figures say that it cannot be right
     ├── RetryableError           75   try again: the same inputs may work (sysexits EX_TEMPFAIL)
     └── InterruptedRun          143   stopped by SIGTERM or SIGINT; work so far is kept
 
@@ -14,6 +16,7 @@ Nothing ever parses a log to learn what went wrong.
 
 import errno
 import os
+from collections.abc import Sequence
 from typing import ClassVar
 
 
@@ -22,6 +25,10 @@ class Inpaint3dError(Exception):
 
     exit_code: ClassVar[int] = 1
     kind: ClassVar[str] = "internal error"
+
+
+class NonFiniteError(Inpaint3dError):
+    kind = "not finite"
 
 
 class ConfigurationError(Inpaint3dError):
@@ -48,6 +55,16 @@ class StorageError(Inpaint3dError):
     kind = "storage"
 
 
+class DoubtfulError(Inpaint3dError):
+    """`doubts`: why the result cannot be right, each with its figures and the repair."""
+
+    exit_code = 6
+    kind = "doubtful"
+
+    def __init__(self, doubts: Sequence[str]) -> None:
+        super().__init__(f"{'; '.join(doubts)}. The result is kept: --accept-doubtful goes on with it")
+
+
 class RetryableError(Inpaint3dError):
     exit_code = 75
     kind = "retryable"
@@ -61,7 +78,8 @@ class InterruptedRun(Inpaint3dError):
 EXIT_CODES: dict[int, str] = {
     c.exit_code: c.kind
     for c in (
-        Inpaint3dError, ConfigurationError, BadInputError, WaitingError, StorageError, RetryableError, InterruptedRun,
+        Inpaint3dError, ConfigurationError, BadInputError, WaitingError, StorageError, DoubtfulError, RetryableError,
+        InterruptedRun,
     )
 }  # fmt: skip
 """Exit code -> what it means."""
@@ -71,6 +89,7 @@ MEANINGS: dict[str, str] = {
     "2": "a parameter is unknown or out of range",
     "3": "bad input - an artifact is missing, damaged, or not what its schema says",
     "5": "storage - the disk is full or the store cannot be written",
+    "6": "doubtful - the result is kept, but its figures say that it cannot be right; --accept-doubtful goes on",
     "75": "retryable - the same inputs may work another time: the bucket did not answer, for example",
     "143": "stopped",
 }

@@ -3,8 +3,11 @@
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from inpaint3d.contracts.errors import BadInputError
 
 Image = Float[Tensor, "b 3 h w"]
 Mask = Float[Tensor, "b 1 h w"]
@@ -52,6 +55,18 @@ class Denoiser(Protocol):
         noise_fill: N(0, 1), for priors that are shown the hole as noise (conformance D5).
         """
         ...
+
+
+def check_answer(answer: Tensor, t: Tensor) -> Tensor:
+    """The answer, as it is. BadInputError where it is not finite: bounds that are put on it later would hide that."""
+    strange = int((~torch.isfinite(answer)).sum())
+    if strange:
+        times = ", ".join(f"{time:.3f}" for time in t.detach().reshape(-1)[:3].tolist())
+        raise BadInputError(
+            f"the prior answered {strange} of {answer.numel()} numbers that are not finite at diffusion time {times}; "
+            "take another prior, or one whose weights and activations fit its number format"
+        )
+    return answer
 
 
 def guide_noise(conditional: Callable[[], Latent], null: Callable[[], Latent], guidance: float) -> Latent:

@@ -25,7 +25,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.diffusion.denoiser import Denoiser, Image, Latent, Mask, Times
+from inpaint3d.diffusion.denoiser import Denoiser, Image, Latent, Mask, Times, check_answer
 from inpaint3d.diffusion.samplers import ddim
 from inpaint3d.diffusion.schedules import alpha, per_image, sigma
 
@@ -69,7 +69,7 @@ def sds_gradient(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0) -
     _, s = _levels(t)
     z, eps = query.noise(code)
     # The denoiser's Jacobian is dropped on purpose: that is SDS.
-    eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill)
+    eps_hat = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     return to_pixels(s**2 * (eps_hat - eps))
 
 
@@ -85,8 +85,8 @@ def nfsd_gradient(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0) 
     code, to_pixels = _encode(prior, x, mask)
     _, s = _levels(t)
     z, _ = query.noise(code)
-    estimate = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill)
-    negative = prior.predict_noise(z, t, _smooth(x, mask), mask, noise_fill=query.noise_fill)
+    estimate = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
+    negative = check_answer(prior.predict_noise(z, t, _smooth(x, mask), mask, noise_fill=query.noise_fill), t)
     return to_pixels(s**2 * torch.where(per_image(t) < NFSD_SPLIT, estimate, estimate - negative))
 
 
@@ -105,7 +105,7 @@ def sdi_gradient(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0, s
         return prior.predict_noise(z, level, x, mask, noise_fill=query.noise_fill)
 
     z = ddim(predict, code, _between(torch.full_like(t, T_FLOOR), t, steps))
-    eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill)
+    eps_hat = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     return to_pixels(s**2 * (eps_hat - (z - a * code) / s))
 
 
@@ -126,10 +126,10 @@ def ism_gradient(
         return prior.predict_noise(z, level, x, mask, guidance=0.0, noise_fill=query.noise_fill)
 
     z_s = ddim(null, code, _between(torch.full_like(t, T_FLOOR), before, steps))
-    eps_s = null(z_s, before)
+    eps_s = check_answer(null(z_s, before), before)
     (a_s, s_s), (a, s) = _levels(before), _levels(t)
     z_t = a * (z_s - s_s * eps_s) / a_s + s * eps_s
-    eps_hat = prior.predict_noise(z_t, t, x, mask, guidance=guidance, noise_fill=query.noise_fill)
+    eps_hat = check_answer(prior.predict_noise(z_t, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     return to_pixels(weight**2 * (eps_hat - eps_s))
 
 
@@ -144,8 +144,9 @@ def vsd_gradient(prior: Denoiser, copy: Denoiser, query: PriorQuery, *, guidance
     code, to_pixels = _encode(prior, x, mask)
     _, s = _levels(t)
     z, _ = query.noise(code)
-    eps_hat = prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill)
-    return to_pixels(s**2 * (eps_hat - copy.predict_noise(z, t, x, mask, noise_fill=query.noise_fill)))
+    eps_hat = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
+    eps_copy = check_answer(copy.predict_noise(z, t, x, mask, noise_fill=query.noise_fill), t)
+    return to_pixels(s**2 * (eps_hat - eps_copy))
 
 
 @torch.no_grad()
@@ -180,7 +181,7 @@ def denoised_target(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0
 
     z, _ = query.noise(prior.encode(x))
     clean = ddim(predict, z, _between(t, torch.zeros_like(t), steps), clip=prior.bound)
-    return torch.where(mask > 0, prior.decode(clean).clamp(-1, 1), x)
+    return torch.where(mask > 0, check_answer(prior.decode(clean), t).clamp(-1, 1), x)
 
 
 def _encode(prior: Denoiser, x: Image, mask: Mask) -> tuple[Latent, Callable[[Latent], Image]]:

@@ -5,7 +5,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
-from numpy.typing import NDArray
 from torch import Tensor
 
 
@@ -23,8 +22,8 @@ def pyramid_fill(image: Float[Tensor, "b 3 h w"], mask: Float[Tensor, "b 1 h w"]
 
 
 def fill_telea(
-    image: Float[NDArray[np.float32], "h w 3"], hole: Bool[NDArray[np.bool_], "h w"], radius: float = 3.0
-) -> Float[NDArray[np.float32], "h w 3"]:
+    image: Float[np.ndarray, "h w 3"], hole: Bool[np.ndarray, "h w"], radius: float = 3.0
+) -> Float[np.ndarray, "h w 3"]:
     """`image` in [0, 1] with `hole` filled by fast marching at 8 bits (Telea 2004, doi:10.1080/10867651.2004.10487596).
 
     radius: pixels that it looks around at. Known pixels are kept as they are.
@@ -37,7 +36,7 @@ def fill_telea(
 def _push_pull(premultiplied: Tensor, weight: Tensor) -> Tensor:
     """Colours [b, 3, h, w] from premultiplied ones and their weight in [0, 1]; full where the weight is 1."""
     solid = weight > 0
-    colour = torch.where(solid, premultiplied / torch.where(solid, weight, 1.0), 0.0)
+    colour = premultiplied / torch.where(solid, weight, 1.0)
     height, width = weight.shape[-2:]
     if height == 1 and width == 1:
         return colour

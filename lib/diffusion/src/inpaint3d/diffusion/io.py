@@ -10,16 +10,22 @@ from inpaint3d.contracts.models.untrusted import read_safetensors_header
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.runtimes import load_onnx
+from inpaint3d.diffusion.training import check_finite_weights
+from inpaint3d.scene.finite import find_non_finite
 
 
 def save_prior(path: Path, prior: InpaintingPrior, *, half: bool = False) -> None:
-    """Write the weights; the same weights give the same bytes. half: as float16, for files that travel."""
+    """Write the weights; the same weights give the same bytes. half: as float16, for files that travel.
+
+    NonFiniteError where one is not finite, in the format that it is written in.
+    """
     dtype = torch.float16 if half else torch.float32
     # One sorted, contiguous layout: memory formats (channels last) must not change the bytes.
     weights = {
         name: tensor.detach().to(dtype=dtype, memory_format=torch.contiguous_format).contiguous().cpu()
         for name, tensor in sorted(prior.state_dict().items())
     }
+    check_finite_weights(weights)
     path.write_bytes(save(weights))
 
 
@@ -31,8 +37,8 @@ def load_prior(path: Path, spec: PriorSpec, *, bf16: bool = False) -> Inpainting
     read_safetensors_header(path)
     prior = InpaintingPrior(spec, bf16=bf16)
     weights = {name: tensor.float() for name, tensor in load_file(path).items()}
-    if bad := [name for name, tensor in weights.items() if not torch.isfinite(tensor).all()]:
-        raise ValueError(f"{path}: weights are not finite in {', '.join(bad[:3])} ({len(bad)} in all)")
+    if strange := find_non_finite({name: tensor.numpy() for name, tensor in weights.items()}):
+        raise ValueError(f"{path} holds weights that are not finite: {', '.join(map(str, strange))}")
     try:
         prior.load_state_dict(weights)
     except RuntimeError as error:

@@ -19,15 +19,17 @@ def hole_psnr(filled: Image, truth: Image, mask: Mask) -> Float[Tensor, "b"]:
 
 def fill_batch_telea(image: Image, mask: Mask, radius: float = 3.0) -> Image:
     """`fill_telea`, picture by picture."""
-    shown = ((image + 1) / 2).permute(0, 2, 3, 1).contiguous().numpy()
-    holes = mask[:, 0].bool().numpy()
+    shown = ((image + 1) / 2).permute(0, 2, 3, 1).contiguous().cpu().numpy()
+    holes = mask[:, 0].bool().cpu().numpy()
     filled = [fill_telea(picture, hole, radius) for picture, hole in zip(shown, holes, strict=True)]
-    return torch.from_numpy(np.stack(filled)).permute(0, 3, 1, 2) * 2 - 1
+    return torch.from_numpy(np.stack(filled)).to(image.device).permute(0, 3, 1, 2) * 2 - 1
 
 
 def mean_estimate(prior: InpaintingPrior, image: Image, mask: Mask, generator: torch.Generator) -> Image:
     """The clean picture that the prior expects before it has seen any of z: one call at t = 1."""
-    noise, noise_fill = (torch.randn(image.shape, generator=generator).to(image) for _ in range(2))
+    noise, noise_fill = (
+        torch.randn(image.shape, generator=generator, device=generator.device).to(image) for _ in range(2)
+    )
     with torch.no_grad():
         clean = prior.estimate(noise, torch.ones(len(image)).to(image), image, mask, noise_fill).clean
     return torch.where(mask > 0, clean.clamp(-1, 1), image)

@@ -9,7 +9,7 @@ from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.denoiser import Denoiser
 from inpaint3d.diffusion.io import load_prior, open_prior
 from inpaint3d.diffusion.pipelines import PipelinePrior, load_pipeline
-from inpaint3d.diffusion.prior import InpaintingPrior
+from inpaint3d.diffusion.prior import InpaintingPrior, bf16_pays
 
 
 def load_denoiser(inputs: Inputs, *, asker: str, prompt: str, device: str, trainable: bool = False) -> Denoiser:
@@ -33,7 +33,7 @@ def load_diffusers_pipeline(wired: Artifact[DiffusersPipeline], prompt: str) -> 
 
 
 def load_trained_prior(inputs: Inputs, *, asker: str, device: str, trainable: bool) -> InpaintingPrior:
-    """The trained prior, in the runtime that it names; a copy that learns and a GPU take torch."""
+    """The trained prior, in the runtime that it names; a copy that learns and a GPU take torch, a GPU in bf16."""
     prior = inputs.optional("diffusion-prior", DiffusionPrior)
     if prior is None:
         raise ConfigurationError(
@@ -42,4 +42,5 @@ def load_trained_prior(inputs: Inputs, *, asker: str, device: str, trainable: bo
         )
     if device == "cpu" and not trainable:
         return open_prior(prior, threads=torch.get_num_threads())
-    return load_prior(prior.path(prior.metadata.weights), prior.metadata.spec)
+    bf16 = device != "cpu" and bf16_pays(device)
+    return load_prior(prior.path(prior.metadata.weights), prior.metadata.spec, bf16=bf16)

@@ -46,7 +46,12 @@ class LowRankCopy:
             for i, parameter in enumerate(self.parameters):
                 parameter.copy_(tensors[f"{i}.weight"])
                 kept = {n.partition(".")[2]: t for n, t in tensors.items() if n.startswith(f"{i}.")}
-                self.optimiser.state[parameter] = {n: t.clone() for n, t in kept.items() if n != "weight"}
+                # Adam counts its steps on the processor; moments lie beside their parameter.
+                self.optimiser.state[parameter] = {
+                    n: t.clone() if t.ndim == 0 else t.to(parameter.device, copy=True)
+                    for n, t in kept.items()
+                    if n != "weight"
+                }
 
 
 class _LowRank(nn.Module):

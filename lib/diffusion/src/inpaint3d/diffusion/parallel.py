@@ -3,6 +3,7 @@
 Started by torchrun; gloo between processors, nccl between GPUs. Where there is one process alone, nothing is done.
 """
 
+import os
 from collections.abc import Sequence
 
 import torch
@@ -10,10 +11,16 @@ import torch.distributed as dist
 from torch import Tensor
 
 
-def join_ranks(device: str = "cpu") -> None:
-    """Meet the other processes that torchrun started; without torchrun, stay alone."""
-    if dist.is_torchelastic_launched() and not dist.is_initialized():
+def join_ranks(device: str = "cpu") -> str:
+    """Meet the other processes that torchrun started; without torchrun, stay alone. Returns this rank's own device."""
+    if not dist.is_torchelastic_launched():
+        return device
+    if device == "cuda":
+        device = f"cuda:{os.environ['LOCAL_RANK']}"
+        torch.cuda.set_device(device)
+    if not dist.is_initialized():
         dist.init_process_group("gloo" if device == "cpu" else "nccl")
+    return device
 
 
 def leave_ranks() -> None:

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from inpaint3d.diffusion.denoiser import Denoiser, Image, Mask
+from inpaint3d.diffusion.denoiser import Denoiser, Image, Mask, check_answer
 from inpaint3d.diffusion.schedules import alpha, cosine_log_snr, per_image, sigma
 
 Predict = Callable[[Tensor, Tensor], Tensor]
@@ -37,11 +37,11 @@ def ddpm(
     """
     for t, s in _pairs(times, z):
         a_t, s_t, a_s, s_s = _levels(t, s)
-        clean = _clean(predict(z, t), z, a_t, s_t, clip)
+        clean = _clean(check_answer(predict(z, t), t), z, a_t, s_t, clip)
         # 1 - SNR(t) / SNR(s): the share of z_t's noise that came in after s.
         fresh = 1 - (a_t * s_s / (s_t * a_s)) ** 2
         mean = (a_t / a_s) * (s_s / s_t) ** 2 * z + a_s * fresh * clean
-        z = mean + s_s * fresh.sqrt() * torch.randn(z.shape, generator=generator).to(z)
+        z = mean + s_s * fresh.sqrt() * torch.randn(z.shape, generator=generator, device=generator.device).to(z)
     return z
 
 
@@ -55,7 +55,7 @@ def ddim(
     """
     for t, s in _pairs(times, z):
         a_t, s_t, a_s, s_s = _levels(t, s)
-        clean = _clean(predict(z, t), z, a_t, s_t, clip)
+        clean = _clean(check_answer(predict(z, t), t), z, a_t, s_t, clip)
         noise = (z - a_t * clean) / s_t
         z = a_s * clean + s_s * noise
     return z
@@ -73,7 +73,7 @@ def dpm_solver(
     before, h_before = None, None
     for i, (t, s) in enumerate(pairs):
         a_t, s_t, a_s, s_s = _levels(t, s)
-        clean = _clean(predict(z, t), z, a_t, s_t, clip)
+        clean = _clean(check_answer(predict(z, t), t), z, a_t, s_t, clip)
         h = per_image(cosine_log_snr(s) - cosine_log_snr(t)) / 2
         D = clean
         if before is not None and h_before is not None and i < len(pairs) - 1:
@@ -96,9 +96,9 @@ def inpaint(
 ) -> Image:
     """A sample of what may be in the hole, in [-1, 1]; known pixels come back untouched."""
     with torch.no_grad():
-        z = denoiser.encode(torch.where(mask > 0, 0.0, image))
-        noise = torch.randn(z.shape, generator=generator).to(z)
-        noise_fill = torch.randn(image.shape, generator=generator).to(image)
+        code = denoiser.encode(torch.zeros_like(image))  # its shape alone counts
+        noise = torch.randn(code.shape, generator=generator, device=generator.device).to(code)
+        noise_fill = torch.randn(image.shape, generator=generator, device=generator.device).to(image)
 
         def predict(z: Tensor, t: Tensor) -> Tensor:
             return denoiser.predict_noise(z, t, image, mask, guidance=guidance, noise_fill=noise_fill)
@@ -109,7 +109,8 @@ def inpaint(
         else:
             solve = ddim if sampler == "ddim" else dpm_solver
             sample = solve(predict, noise, times, clip=denoiser.bound)
-        return torch.where(mask > 0, denoiser.decode(sample).clamp(-1, 1), image)
+        made = check_answer(denoiser.decode(sample), times[-1:])
+        return torch.where(mask > 0, made.clamp(-1, 1), image)
 
 
 def _pairs(times: Tensor, z: Tensor) -> list[tuple[Tensor, Tensor]]:

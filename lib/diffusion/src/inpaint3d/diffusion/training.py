@@ -5,7 +5,7 @@ resumed draws what the unbroken one would have.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,9 @@ import torch
 from jaxtyping import Float
 from safetensors.torch import load_file, save_file
 from torch import Tensor
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.kit.checkpoints import OPEN_SEAL, find_checkpoint, write_checkpoint
 from inpaint3d.contracts.models.artifacts.prior import PriorSpec
 from inpaint3d.diffusion.bands import pixel_variance
@@ -22,6 +24,7 @@ from inpaint3d.diffusion.denoiser import Image, Mask
 from inpaint3d.diffusion.parallel import average_over_ranks
 from inpaint3d.diffusion.prior import InpaintingPrior
 from inpaint3d.diffusion.schedules import cosine_time_of
+from inpaint3d.scene.finite import find_non_finite
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,15 @@ class Batch:
     hole: Mask
     teach: Mask
     """1 where the loss may look; a pixel with 0 must lie in the hole, so that it is never shown either."""
+
+    def to(self, device: torch.device | str) -> "Batch":
+        """The same on a device, in float32; from pinned memory without waiting."""
+        moved = (part.to(device, non_blocking=True).float() for part in (self.image, self.hole, self.teach))
+        return Batch(*moved)
+
+    def pin_memory(self) -> "Batch":
+        """The same in memory that a GPU reads by itself; what torch's data loader calls."""
+        return Batch(self.image.pin_memory(), self.hole.pin_memory(), self.teach.pin_memory())
 
 
 @dataclass
@@ -63,6 +75,7 @@ def begin(
     *,
     bf16: bool = False,
     channels_last: bool = False,
+    device: torch.device | str = "cpu",
 ) -> TrainingState:
     """A fresh state: random weights of this seed, or those of `start`, with a new optimiser.
 
@@ -73,17 +86,23 @@ def begin(
         prior.load_state_dict(start.state_dict())
         average.load_state_dict(start.state_dict())
     average.requires_grad_(False).eval()
+    prior, average = prior.to(device), average.to(device)
     if channels_last:
         prior, average = (p.to(memory_format=torch.channels_last) for p in (prior, average))
     optimiser = torch.optim.Adam(prior.parameters(), lr=1e-4, betas=(0.9, 0.99), fused=True)
     return TrainingState(prior, average, optimiser)
 
 
-def step_generators(seed: int, step: int, part: int = 0) -> tuple[np.random.Generator, torch.Generator]:
-    """The randomness of one part of a step's batch: the same whether or not the run was interrupted before it."""
+def step_generators(
+    seed: int, step: int, part: int = 0, device: torch.device | str = "cpu"
+) -> tuple[np.random.Generator, torch.Generator]:
+    """The randomness of one part of a step's batch: the same whether or not the run was interrupted before it.
+
+    The second generator draws on `device`, whose numbers are its own: a GPU's are not a processor's.
+    """
     entropy = np.random.SeedSequence((seed, step, part))
     seed_for_torch = int(entropy.generate_state(1, np.uint64)[0] >> 1)
-    return np.random.default_rng(entropy), torch.Generator().manual_seed(seed_for_torch)
+    return np.random.default_rng(entropy), torch.Generator(device).manual_seed(seed_for_torch)
 
 
 def denoising_loss(
@@ -96,14 +115,16 @@ def denoising_loss(
 
     The mean is per picture, then over pictures, so that a small hole weighs as much as a large one.
     """
-    spec, count = prior.spec, len(batch.image)
+    spec, count, drawn_on = prior.spec, len(batch.image), generator.device
     # Stratified: a batch covers all noise levels, which takes noise out of the loss (VDM, arXiv:2107.00630, I.1).
-    stratum = (torch.arange(count) + torch.rand(count, generator=generator)) / count
-    t = t_range[0] + (t_range[1] - t_range[0]) * stratum[torch.randperm(count, generator=generator)]
+    within = torch.rand(count, generator=generator, device=drawn_on)
+    stratum = (torch.arange(count, device=drawn_on) + within) / count
+    order = torch.randperm(count, generator=generator, device=drawn_on)
+    t = t_range[0] + (t_range[1] - t_range[0]) * stratum[order]
     t = cosine_time_of(t, spec.schedule, spec.size)
-    eps = torch.randn(batch.image.shape, generator=generator)
-    noise_fill = torch.randn(batch.image.shape, generator=generator)
-    dropped = (torch.rand(count, 1, 1, 1, generator=generator) < spec.condition_dropout).float()
+    eps = torch.randn(batch.image.shape, generator=generator, device=drawn_on)
+    noise_fill = torch.randn(batch.image.shape, generator=generator, device=drawn_on)
+    dropped = (torch.rand(count, 1, 1, 1, generator=generator, device=drawn_on) < spec.condition_dropout).float()
     device = batch.image.device
     t, eps, noise_fill, dropped = (tensor.to(device) for tensor in (t, eps, noise_fill, dropped))
 
@@ -160,17 +181,17 @@ def train_step(
         part.backward()
         loss += part.detach()
     average_over_ranks([loss, *(p.grad for p in state.prior.parameters() if p.grad is not None)])
-    norm = torch.nn.utils.clip_grad_norm_(state.prior.parameters(), clip)
+    norm = torch.nn.utils.get_total_norm([p.grad for p in state.prior.parameters() if p.grad is not None])
     state.step += 1
     if not torch.isfinite(norm):
         state.pending.append(math.nan)
         return math.nan
+    torch.nn.utils.clip_grads_with_norm_(state.prior.parameters(), clip, norm)
     state.optimiser.step()
     # Warm-up: early on the average must forget the random start faster than the final decay would.
     decay = min(ema, (1 + state.step) / (10 + state.step))
-    with torch.no_grad():
-        for average, weight in zip(state.average.parameters(), state.prior.parameters(), strict=True):
-            average.lerp_(weight, 1 - decay)
+    # All weights at once: on a GPU a few launches, not one for each.
+    get_ema_multi_avg_fn(decay)(list(state.average.parameters()), list(state.prior.parameters()), None)
     state.pending.append(loss.item())
     return state.pending[-1]
 
@@ -184,17 +205,29 @@ def rate_after_warm_up(peak: float, step: int, total: int, warm_up: int, final_s
 
 
 def save_checkpoint(path: Path, state: TrainingState) -> None:
-    """Everything needed to go on exactly, in one file that appears whole or not at all."""
+    """Everything needed to go on exactly, in one file that appears whole or not at all.
+
+    NonFiniteError where a weight, an average or a moment is not finite: the checkpoint that is there stays.
+    """
     tensors = {f"prior.{name}": value for name, value in state.prior.state_dict().items()}
     tensors |= {f"average.{name}": value for name, value in state.average.state_dict().items()}
     for name, parameter in state.prior.named_parameters():
         for key, value in state.optimiser.state.get(parameter, {}).items():
             tensors[f"optimiser.{key}.{name}"] = value
+    check_finite_weights(tensors, state.step)
     tensors["step"] = torch.tensor(state.step)
     tensors["curve"] = torch.tensor(state.curve, dtype=torch.float64).reshape(-1, 3)
     tensors["pending"] = torch.tensor(state.pending, dtype=torch.float64)
     written = {name: value.detach().contiguous() for name, value in tensors.items()}
     write_checkpoint(path, lambda staged: save_file(written, staged, metadata=OPEN_SEAL))
+
+
+def check_finite_weights(tensors: Mapping[str, Tensor], step: int | None = None) -> None:
+    """NonFiniteError where one of a prior's tensors is not finite."""
+    found = find_non_finite({name: t.detach().float().cpu().numpy() for name, t in tensors.items()})
+    if found:
+        after = "" if step is None else f" after step {step}"
+        raise NonFiniteError(f"the prior is not finite{after}: {', '.join(map(str, found[:5]))}")
 
 
 def load_checkpoint(path: Path, state: TrainingState) -> bool:
@@ -215,9 +248,9 @@ def load_checkpoint(path: Path, state: TrainingState) -> bool:
     for name, parameter in state.prior.named_parameters():
         if f"optimiser.step.{name}" in tensors:
             moments = {key: tensors[f"optimiser.{key}.{name}"] for key in ("step", "exp_avg", "exp_avg_sq")}
-            # In the parameter's own memory format, which the fused step takes for granted.
+            # On the parameter's own device, in its own memory format, which the fused step takes for granted.
             state.optimiser.state[parameter] = {
-                key: value if value.ndim == 0 else torch.empty_like(parameter).copy_(value)
+                key: value.to(parameter.device) if value.ndim == 0 else torch.empty_like(parameter).copy_(value)
                 for key, value in moments.items()
             }
     state.step = int(tensors["step"])

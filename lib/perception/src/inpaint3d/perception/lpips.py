@@ -20,6 +20,8 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from inpaint3d.perception.threads import one_thread
+
 Network = Literal["alex", "vgg"]
 SMALLEST_SIDE = 64  # below this the deepest features of either network are a pixel or two
 
@@ -81,15 +83,17 @@ class Lpips:
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
-        Small pictures are both `enlarge`.
+        Small pictures are both `enlarge`. The same for any number of threads.
         """
         return self.distances([image], truth)[0]
 
     @torch.no_grad()
     def distances(self, images: Sequence[NDArray[np.float32]], truth: NDArray[np.float32]) -> list[float]:
         """`distance` of each picture to one truth, whose features are taken once."""
-        wanted = self.features(_batch(truth))
-        return [float(self._weigh(self.features(_batch(image)), wanted)) for image in images]
+        device = self.heads[0].device
+        with one_thread():
+            wanted = self.features(_batch(truth).to(device))
+            return [float(self._weigh(self.features(_batch(image).to(device)), wanted)) for image in images]
 
 
 def safe_length(features: Tensor) -> Tensor:
@@ -98,9 +102,15 @@ def safe_length(features: Tensor) -> Tensor:
     return torch.where(squared > 0, torch.where(squared > 0, squared, 1.0).sqrt(), 0.0)
 
 
+def load(network: Network, device: torch.device | str = "cpu") -> Lpips:
+    """The network with its weights on a device. Raises ValueError where the installed file is not the one that was
+    checked.
+    """
+    return _load(network, torch.device(device))
+
+
 @cache
-def load(network: Network) -> Lpips:
-    """The network with its weights. Raises ValueError where the installed file is not the one that was checked."""
+def _load(network: Network, device: torch.device) -> Lpips:
     arrays = _read(network)
     if network == "alex":
         shape = [(4, 2, 0, True), (1, 2, 3, True), (1, 1, 3, True), (1, 1, 0, True), (1, 1, 0, True)]
@@ -109,10 +119,12 @@ def load(network: Network) -> Lpips:
         shape = [(1, 1, 2 if i in pools else 0, i in taps) for i in range(13)]
     body = arrays["AlexNet_0" if network == "alex" else "VGG16_0"]
     layers = tuple(
-        Convolution(_oihw(body[f"Conv_{i}"]["kernel"]), torch.from_numpy(body[f"Conv_{i}"]["bias"]), *rest)
+        Convolution(
+            _oihw(body[f"Conv_{i}"]["kernel"]).to(device), torch.from_numpy(body[f"Conv_{i}"]["bias"]).to(device), *rest
+        )
         for i, rest in enumerate(shape)
     )
-    heads = tuple(_oihw(arrays[f"NetLinLayer_{i}"]["Conv_0"]["kernel"]) for i in range(5))
+    heads = tuple(_oihw(arrays[f"NetLinLayer_{i}"]["Conv_0"]["kernel"]).to(device) for i in range(5))
     return Lpips(layers, heads)
 
 

@@ -28,7 +28,7 @@ def cells(image: Image, region: Region, *, whole: bool) -> Cells:
     hole); else every cell that touches it.
     """
     found: Cells = []
-    for features, reach in zip([image, *load("vgg").taps(image, TAPS)], REACH, strict=True):
+    for features, reach in zip([image, *load("vgg", image.device).taps(image, TAPS)], REACH, strict=True):
         chosen = region[None, None].float()
         if whole:
             chosen = -F.max_pool2d(-F.pad(chosen, (reach,) * 4, value=1.0), 2 * reach + 1, 1)
@@ -66,7 +66,8 @@ def sliced_mismatch(made: Cells, references: Cells, generator: torch.Generator, 
     for a, b in zip(made, references, strict=True):
         if not (len(a) and len(b)):
             continue
-        directions = F.normalize(torch.randn(a.shape[1], slices, generator=generator), dim=0).to(a)
+        drawn = torch.randn(a.shape[1], slices, generator=generator, device=generator.device)
+        directions = F.normalize(drawn, dim=0).to(a)
         along_a, along_b = ((x @ directions).sort(0).values for x in (a, b))
         at = (torch.arange(len(a)) + 0.5) / len(a) * len(b)
         there = along_b[at.long().to(a.device).clamp(max=len(b) - 1)]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.models.artifacts import FieldSpec, FieldView
 from inpaint3d.radiance.architecture import parameter_shapes
 from inpaint3d.scene.cameras import Camera
@@ -47,8 +48,14 @@ def write_views(
 def write_view(folder: Path, name: str, camera: Camera, maps: Mapping[str, NDArray[np.floating]]) -> FieldView:
     """Write what `render_view` returns of a camera: its maps in views/NAME.exr, its colour in views/NAME.png.
 
-    Normals are those of the median depth.
+    Normals are those of the median depth. NonFiniteError where a map is not finite.
     """
+    for channel, values in maps.items():
+        if len(places := np.argwhere(~np.isfinite(values))):
+            raise NonFiniteError(
+                f"the render of view {name} is not finite: {channel} in {len(places)} numbers, "
+                f"the first at row {places[0][0]}, column {places[0][1]}"
+            )
     view = FieldView(name=name, maps=f"views/{name}.exr", picture=f"views/{name}.png")
     seen = np.where(maps["opacity"] > OPAQUE, maps["median_depth"], np.nan)
     x, y, z = np.moveaxis(normals_of(camera, seen), -1, 0)

@@ -6,8 +6,10 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.kit.checkpoints import OPEN_SEAL, find_checkpoint, write_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.health import check_finite
 from inpaint3d.radiance.optim import Adam
 
 
@@ -18,10 +20,14 @@ def save_checkpoint(
     generator: torch.Generator,
     extra: dict[str, Tensor] | None = None,
 ) -> None:
-    """Write weights, Adam's moments and step, the generator's state and `extra` tensors; whole or not at all."""
+    """Write weights, Adam's moments and step, the generator's state and `extra` tensors; whole or not at all.
+
+    NonFiniteError where one of them is not finite: the checkpoint that is there stays.
+    """
+    check_finite(field, optimizer)
     state = {f"extra.{name}": tensor for name, tensor in (extra or {}).items()}
     state["generator"] = generator.get_state()
-    state["steps"] = torch.tensor(optimizer.steps)
+    state["steps"], state["halvings"] = torch.tensor(optimizer.steps), torch.tensor(optimizer.halvings)
     state |= {f"field.{name}": buffer for name, buffer in field.named_buffers()}
     for name, parameter in field.named_parameters():
         m, v = optimizer.moments(parameter)
@@ -39,7 +45,7 @@ def load_checkpoint(
         return None
     state = load_file(found)
     generator.set_state(state["generator"])
-    optimizer.steps = int(state["steps"])
+    optimizer.steps, optimizer.halvings = int(state["steps"]), int(state["halvings"])
     with torch.no_grad():
         for name, buffer in field.named_buffers():
             buffer.copy_(state[f"field.{name}"])
@@ -49,3 +55,26 @@ def load_checkpoint(
             m.copy_(state[f"m.{name}"])
             v.copy_(state[f"v.{name}"])
     return {name.removeprefix("extra."): t for name, t in state.items() if name.startswith("extra.")}
+
+
+def go_back(
+    path: Path,
+    field: RadianceField,
+    optimizer: Adam,
+    generator: torch.Generator,
+    error: NonFiniteError,
+    rollbacks: int,
+) -> dict[str, Tensor]:
+    """After an error: everything as in the last checkpoint, but the steps from there on half as large as before.
+
+    Returns the `extra` tensors. Raises the error, saying what is kept, where the fit went back `rollbacks` times
+    already, or has no checkpoint.
+    """
+    halvings = optimizer.halvings + 1
+    kept = load_checkpoint(path, field, optimizer, generator) if halvings <= rollbacks else None
+    if kept is None:
+        sound = f"the last good checkpoint is kept in {path.parent}" if path.exists() else "there is no checkpoint yet"
+        tried = f"; went back {halvings - 1} times before" if halvings > 1 else ""
+        raise NonFiniteError(f"{error}{tried}; {sound}") from error
+    optimizer.halvings = halvings
+    return kept

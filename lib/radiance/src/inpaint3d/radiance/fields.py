@@ -1,6 +1,8 @@
 """The radiance field: hash grids and small networks (paper, appendix "Model Details"; conformance N1 to N6)."""
 
+import contextlib
 import math
+from collections.abc import Generator
 from typing import Literal, NamedTuple
 
 import torch
@@ -65,6 +67,15 @@ class RadianceField(nn.Module):
     @property
     def backend(self) -> backends.Backend:
         return backends.select(self.device, self._backend_name)
+
+    @contextlib.contextmanager
+    def on_backend(self, name: backends.Name) -> Generator[None]:
+        """Compute with another backend for a while."""
+        before, self._backend_name = self._backend_name, name
+        try:
+            yield
+        finally:
+            self._backend_name = before
 
     @property
     def hash_networks(self) -> list["HashNetwork"]:

@@ -34,6 +34,11 @@ class Optimizer(Closed):
     )
     near_gradient: bool = Field(default=False, description="False: gradients near cameras are turned down; paper: True")
     proposal_anneal_steps: AnnealSteps = 0
+    rollbacks: Annotated[int, Field(ge=0)] = Field(
+        default=1,
+        description="how often a fit that meets numbers that are not finite goes back to its last checkpoint, "
+        "its steps halved from there on, before it fails",
+    )
 
 
 class LossWeights(Closed):

@@ -16,7 +16,7 @@ from inpaint3d.radiance.training import psnr
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
 
-Colours = Float[NDArray[np.float32], "n 3"]
+Colours = Float[np.ndarray, "n 3"]
 
 
 class KnownPhoto(NamedTuple):

@@ -10,10 +10,12 @@ from inpaint3d.contracts.models.artifacts import FieldSpec
 from inpaint3d.contracts.models.untrusted import UntrustedError, read_safetensors_header
 from inpaint3d.radiance import backends
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.health import check_finite, find_non_finite
 
 
 def save_field(path: Path, field: RadianceField) -> None:
-    """Write the weights; equal weights give equal bytes."""
+    """Write the weights; equal weights give equal bytes. NonFiniteError where one is not finite."""
+    check_finite(field)
     save_file({name: tensor.detach().cpu().contiguous() for name, tensor in field.state_dict().items()}, path)
 
 
@@ -30,5 +32,7 @@ def load_field(path: Path, spec: FieldSpec, backend: backends.Name | None = None
     if wanted != found:
         differ = sorted(name for name in wanted.keys() | found.keys() if wanted.get(name) != found.get(name))
         raise ArtifactError(f"weights {path} do not fit their spec: {', '.join(differ)} differ; run the stage again")
+    if broken := find_non_finite(weights):
+        raise ArtifactError(f"weights {path} are not finite: {', '.join(map(str, broken))}; run the stage again")
     field.load_state_dict(weights)
     return field

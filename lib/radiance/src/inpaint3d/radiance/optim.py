@@ -42,8 +42,9 @@ class Adam:
 
     What it descends is the loss whose gradient it finds, and `hash_decay` times `losses.hash_decay` (N9). Networks (all
     but the tables) learn at `network_scale` of the rate. sparse: the tables' numbers without a gradient rest, moments
-    and decay too. before_step: called at the start of each step; ranks average their gradients there. Numbers whose
-    gradient is not finite are not moved: `lost` counts those of the last step.
+    and decay too. before_step: called at the start of each step; ranks average their gradients there. Numbers that a
+    step would not leave finite are not moved: `lost` counts those of the last step. halvings: how often the rate was
+    halved, since a fit went back to its last checkpoint.
 
     Not a torch.optim.Optimizer: the first of those in a process imports torch's compiler, which takes seconds.
     """
@@ -70,7 +71,7 @@ class Adam:
             for grid in field.hash_networks
         }
         self._moments: dict[Tensor, tuple[Tensor, Tensor]] = {}
-        self.steps = 0
+        self.steps = self.halvings = 0
         self.lost: dict[Tensor, int] = {}
 
     @classmethod
@@ -102,12 +103,15 @@ class Adam:
         if self._before_step is not None:
             self._before_step()
         self.steps += 1
-        self.lost.clear()
-        for param in self._field.parameters():
-            if param.grad is not None:
-                self._move(param, param.grad, rate)
+        moved = [param for param in self._field.parameters() if param.grad is not None]
+        rate = rate * 0.5**self.halvings
+        lost = [self._move(param, param.grad, rate) for param in moved if param.grad is not None]
+        # Read in one go: each number that is read from a GPU waits for all that it has been told to do.
+        counts = [torch.as_tensor(n, device=p.device) for n, p in zip(lost, moved, strict=True)]
+        read = torch.stack(counts).tolist() if counts else []
+        self.lost = {param: count for param, count in zip(moved, read, strict=True) if count}
 
-    def _move(self, param: Tensor, grad: Tensor, rate: float) -> None:
+    def _move(self, param: Tensor, grad: Tensor, rate: float) -> int | Tensor:
         m, v = self.moments(param)
         levels = self._levels.get(id(param))
         sparse = self._sparse and levels is not None
@@ -118,5 +122,4 @@ class Adam:
             of = (param[part], grad[part], m[part], v[part])
             how = AdamStep(self.steps, rate, *self._betas, self._eps, decay, sparse)
             lost += self._field.backend.adam_step(*of, how)
-        if lost:
-            self.lost[param] = lost
+        return lost

@@ -23,7 +23,10 @@ BACKGROUND = 0.5
 
 @dataclass(frozen=True)
 class Rendering:
-    """What rays saw. Depths are distances along unit rays in scene units; NaN-free: empty rays end at `far`."""
+    """What rays saw. Depths are distances along unit rays in scene units; empty rays end at `far`.
+
+    What is not finite in the field is not finite here: nothing turns it into a surface, or into none.
+    """
 
     rgb: Float[Tensor, "*n 3"]
     diffuse: Float[Tensor, "*n 3"]

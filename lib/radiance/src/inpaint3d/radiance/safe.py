@@ -9,6 +9,8 @@ from torch.autograd.function import once_differentiable
 
 # exp(15) = 3.3e6 per scene unit: a millionth of a unit is opaque already, and the gradient stays finite.
 EXP_CEILING = 15.0
+# The slope of a sigmoid at +-9.2, where it is a ten-thousandth from its end.
+LEAST_SLOPE = 1e-4
 
 
 class _TruncatedExp(torch.autograd.Function):
@@ -40,10 +42,34 @@ def divide(
 ) -> Float[Tensor, "*n"]:
     """The quotient where below > smallest, else `otherwise` with no gradient.
 
-    where(below > 0, above / below, 0) backpropagates 0 * inf = NaN from the branch that it rejects.
+    where(below > 0, above / below, 0) backpropagates 0 * inf = NaN from the branch that it rejects. A NaN is no small
+    number: it stays NaN.
     """
-    fine = below > smallest
-    return torch.where(fine, above / torch.where(fine, below, 1), otherwise)
+    small = below <= smallest
+    return torch.where(small, otherwise, above / torch.where(small, 1, below))
+
+
+class _Sigmoid(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        value = torch.sigmoid(x)
+        ctx.save_for_backward(value)
+        return value
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (value,) = ctx.saved_tensors
+        return grads[0] * (value * (1 - value)).clamp(min=LEAST_SLOPE)
+
+
+def sigmoid(x: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
+    """1 / (1 + e^-x), whose gradient is never less than a ten-thousandth of what comes in.
+
+    The plain one's is 0 from x = 17 on (in float32), so that what has become white once could never be grey again.
+    """
+    result: Any = _Sigmoid.apply(x)
+    return result
 
 
 def length(x: Float[Tensor, "*n d"]) -> Float[Tensor, "*n 1"]:

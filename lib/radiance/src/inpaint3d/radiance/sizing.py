@@ -9,6 +9,9 @@ from inpaint3d.radiance.architecture import Architecture, planned_spec
 # Without contraction the cube is just large enough for this percentage of the sparse points (outliers would make it far
 # too large), times the margin.
 POINTS_INSIDE, CUBE_MARGIN = 99.0, 1.1
+# Scene analysis calls a scene bounded that has up to 2 % of its points far away. Where these reach this many times as
+# far as all but 3 %, the cube leaves them out.
+CORE_INSIDE, FAR_BEYOND = 97.0, 2.0
 
 
 def field_spec(
@@ -57,6 +60,11 @@ def field_spec(
 
 
 def cube_half_side(points: NDArray[np.float32]) -> float:
-    """Half side, in scene units, of the cube round the origin that holds the cameras and the sparse points [p, 3]."""
-    reach = float(np.percentile(np.abs(points).max(-1), POINTS_INSIDE)) if len(points) else 1.0
-    return CUBE_MARGIN * max(1.0, reach)
+    """Half side, in scene units, of the cube round the origin that holds the cameras and the sparse points [p, 3].
+
+    What few points lie far beyond all others does not count: the cells would be spent on the space between.
+    """
+    if not len(points):
+        return CUBE_MARGIN
+    reach, core = np.percentile(np.abs(points).max(-1), (POINTS_INSIDE, CORE_INSIDE))
+    return CUBE_MARGIN * max(1.0, float(core if reach > FAR_BEYOND * core else reach))

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int16, Int32
 from numpy.typing import NDArray
 from torch import Tensor
 
-from inpaint3d.contracts.errors import Inpaint3dError
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.fitting import LossWeights
 from inpaint3d.radiance.losses import charbonnier, distortion_loss, interlevel_loss
@@ -82,30 +82,25 @@ def descend(
 ) -> dict[str, float]:
     """One step down the sum of the terms at learning rate `rate`; returns each term's value. A density grid learns.
 
-    Non-finite terms and gradients are counted into `non_finite` by place and stop the run with an error that names
-    them: no parameter is touched by them.
+    Non-finite terms and gradients are counted into `non_finite` by place and raise a NonFiniteError that names them. A
+    term that is not finite moves no parameter; a number whose gradient is not is not moved itself.
     """
     step = optimizer.steps
     field.zero_grad()
-    values = {name: float(term.detach()) for name, term in terms.items()}
-    for name, value in values.items():
-        if not math.isfinite(value):
-            non_finite[f"loss.{name}"] = non_finite.get(f"loss.{name}", 0) + 1
-    if not non_finite:
+    values = dict(zip(terms, torch.stack([term.detach() for term in terms.values()]).tolist(), strict=True))
+    places = {f"loss.{name}": 1 for name, value in values.items() if not math.isfinite(value)}
+    if not places:
         torch.stack(list(terms.values())).sum().backward()
         optimizer.step(rate)
         if field.density_grid is not None:
             field.density_grid.learn(field.backend)
         names = {id(parameter): name for name, parameter in field.named_parameters()}
-        for parameter, count in optimizer.lost.items():
-            place = f"gradient.{names[id(parameter)]}"
+        places = {f"gradient.{names[id(parameter)]}": count for parameter, count in optimizer.lost.items()}
+    if places:
+        for place, count in places.items():
             non_finite[place] = non_finite.get(place, 0) + count
-    if non_finite:
-        places = ", ".join(f"{place} ({count})" for place, count in sorted(non_finite.items()))
-        raise Inpaint3dError(
-            f"non-finite values at step {step}: {places}; loss terms were {values}. "
-            "The weights of the last checkpoint are sound; lower the learning rate or report this run"
-        )
+        said = ", ".join(f"{place} ({count})" for place, count in sorted(places.items()))
+        raise NonFiniteError(f"non-finite values at step {step}: {said}; loss terms were {values}")
     return values
 
 
@@ -122,7 +117,11 @@ def proposal_anneal(step: int, steps: int, slope: float = 10.0) -> float:
 
 
 def psnr(image: NDArray[np.floating], truth: NDArray[np.floating], known: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of values in [0, 1], over `known` pixels; at most 100, NaN without any."""
+    """Peak signal-to-noise ratio in dB of values in [0, 1], over `known` pixels; at most 100.
+
+    NaN without any, and where a value is not finite.
+    """
     squared = np.square(image.astype(np.float64) - truth)
     chosen = squared if known is None else squared[known]
-    return float("nan") if chosen.size == 0 else -10 * math.log10(max(float(chosen.mean()), 1e-10))
+    mean = float(chosen.mean()) if chosen.size else math.nan
+    return -10 * math.log10(max(mean, 1e-10)) if math.isfinite(mean) else math.nan

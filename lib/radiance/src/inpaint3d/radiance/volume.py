@@ -23,12 +23,15 @@ def alpha_weights(density: Float[Tensor, "*rays n"], tdist: Float[Tensor, "*rays
 def median_distance(
     weights: Float[Tensor, "r s"], tdist: Float[Tensor, "r s+1"], far: float, smallest: float
 ) -> Float[Tensor, " r"]:
-    """Distance at which half of a ray's opacity is reached, linear within the interval; `far` on empty rays."""
+    """Distance at which half of a ray's opacity is reached, linear within the interval; `far` on empty rays.
+
+    NaN where the weights do not sum to a finite opacity: such a ray is not an empty one.
+    """
     reached = torch.cumsum(weights, -1)
     half = reached[:, -1:] / 2
     index = torch.searchsorted(reached, half).clamp_(max=weights.shape[1] - 1)
     within = weights.gather(1, index)
     before = reached.gather(1, index) - within
-    share = ((half - before) / torch.where(within > 0, within, 1)).clamp_(0, 1)
+    share = ((half - before) / within).clamp_(0, 1)  # 0 / 0 on empty rays alone
     low, high = tdist.gather(1, index), tdist.gather(1, index + 1)
-    return torch.where(reached[:, -1] > smallest, (low + share * (high - low))[:, 0], far)
+    return torch.where(reached[:, -1] <= smallest, far, (low + share * (high - low))[:, 0])

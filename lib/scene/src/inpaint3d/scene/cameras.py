@@ -145,3 +145,8 @@ def look_at(centre: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0
         raise ValueError("up is along the line of sight; name another up")
     right /= length
     return np.stack([right, np.cross(forward, right), forward, centre], 1)
+
+
+def measure_apart(one: Camera, other: Camera) -> float:
+    """How differently two cameras look: distance of their centres, and of their axes' unit vectors."""
+    return float(np.linalg.norm(one.centre - other.centre) + np.linalg.norm(one.forward - other.forward))

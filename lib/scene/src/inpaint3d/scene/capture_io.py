@@ -10,9 +10,18 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, PosedCapture, PosedFrame, PosedTruth, Truth
+from inpaint3d.contracts.models.artifacts import (
+    Capture,
+    CapturedFrame,
+    LensModel,
+    PosedCapture,
+    PosedFrame,
+    PosedTruth,
+    Truth,
+)
 from inpaint3d.contracts.models.untrusted import UntrustedError, read_safetensors_header
 from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask, read_opaque, write_mask, write_png
 
 
@@ -132,7 +141,7 @@ def load_posed(artifact: PosedFolder) -> list[View]:
 
 
 def load_points(path: Path) -> SparsePoints:
-    """Read `points.safetensors`; ArtifactError where an array is missing or has another shape."""
+    """Read `points.safetensors`; ArtifactError where an array is missing, has another shape, or is not finite."""
     try:
         read_safetensors_header(path)
         arrays = load_file(path)
@@ -143,6 +152,8 @@ def load_points(path: Path) -> SparsePoints:
         if found is None or found.dtype != dtype or found.shape[1:] != tail:
             what = "missing" if found is None else f"{found.dtype} {found.shape}"
             raise ArtifactError(f"{path}: {name} is {what}, not {np.dtype(dtype)} [n, *{tail}]; run pose-estimation")
+    if strange := find_non_finite(arrays):
+        raise ArtifactError(f"{path}: numbers that are not finite: {', '.join(map(str, strange))}; run pose-estimation")
     return SparsePoints(**{name: arrays[name] for name in _POINTS})
 
 
@@ -162,6 +173,7 @@ def write_view(
     relative_exposure: float | None = None,
     mask: ArrayLike | None = None,
     valid: ArrayLike | None = None,
+    lens: LensModel | None = None,
 ) -> PosedFrame:
     """Write a posed view's picture (and masks, where given) under an artifact's folder; returns its record."""
     write_png(folder / "frames" / f"{name}.png", image)
@@ -179,6 +191,7 @@ def write_view(
         cx=camera.cx,
         cy=camera.cy,
         world_from_cam=camera.pose,
+        lens=lens,
         split=split,
         relative_exposure=relative_exposure,
         mask=f"masks/{name}.png" if mask is not None else None,

@@ -88,6 +88,10 @@ class Similarity:
         back = self.rotation.T
         return Similarity(1 / self.scale, back, -(back @ self.translation) / self.scale)
 
+    def then(self, other: "Similarity") -> "Similarity":
+        """The similarity that is this one, and the other after it."""
+        return Similarity(other.scale * self.scale, other.rotation @ self.rotation, other.points(self.translation))
+
     @property
     def matrix(self) -> Floats:
         """[3, 4] with the scale in its left part: target = M[:, :3] @ source + M[:, 3]."""

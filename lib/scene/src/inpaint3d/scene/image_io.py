@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from inpaint3d.contracts.errors import BadInputError, StorageError
 from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES as PICTURE_SUFFIXES
 from inpaint3d.scene.colour import from_bytes, srgb_from_linear, to_bytes
+from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.scene.icc import ColourProfile, read_profile
 
 Image = NDArray[np.float32]
@@ -24,8 +25,13 @@ MAX_DECODED_BYTES = 2**30
 ROWS_AT_ONCE = 256  # while colours are converted in float64
 MAX_CODE = 2**16 - 1
 MIDDLE = 127.5 / 255
+# Of linear light: a share of white that no exposure leaves, and what even the brightest pixel exceeds.
+MAX_WHITE, MIN_LIGHT = 0.5, 1e-3
 # Time stamps and host names would make equal pictures differ.
 _UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
+
+
+Attribute = int | float | str | tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ class Header:
     is_float: bool
     orientation: int
     format: str
-    exif: dict[str, int | float | str]
+    exif: dict[str, Attribute]
     profile: ColourProfile | None = None  # None: its codes are sRGB, or linear light
 
     @property
@@ -70,7 +76,8 @@ def read_image(path: Path) -> Image:
 
     Float files hold linear light unless they say otherwise, and are encoded; an embedded colour profile is applied;
     grey is repeated; alpha is dropped (`read_opaque` reads it).
-    BadInputError for a file that is damaged, cut short, not finite, or too large to decode.
+    BadInputError for a file that is damaged, cut short, not finite, or too large to decode, and for linear light in
+    other units: all but white, or all but black.
     """
     stored = read_stored(path)
     return from_bytes(stored) if stored.dtype == np.uint8 else stored.astype(np.float32, copy=False)
@@ -94,7 +101,19 @@ def read_stored(path: Path) -> Image | NDArray[np.uint8]:
     if not np.isfinite(colour).all():
         count = int((~np.isfinite(colour)).any(-1).sum())
         raise BadInputError(f"{path} has {count} pixels that are not finite; export it again without them")
+    if linear:
+        _check_units(colour, path)
     return np.ascontiguousarray(srgb_from_linear(colour) if linear else np.clip(colour, 0, 1), np.float32)
+
+
+def _check_units(light: NDArray[Any], path: Path) -> None:
+    """Linear light [h, w, 3] is to be 1 where white is: with other units nearly all of a picture is white or black."""
+    white, brightest = float((light >= 1).all(-1).mean()), float(light.max(initial=0.0))
+    if white > MAX_WHITE or 0 < brightest < MIN_LIGHT:
+        raise BadInputError(
+            f"{path} holds linear light from {float(light.min()):.3g} to {brightest:.3g}, and {white:.0%} of it is "
+            "white; export it in units in which white is 1"
+        )
 
 
 def read_opaque(path: Path) -> Mask | None:
@@ -107,8 +126,8 @@ def read_opaque(path: Path) -> Mask | None:
 def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
     """A mask as bool [h, w]: above the middle of its range is inside, and so is 1 of the codes 0 and 1.
 
-    `size` = (width, height) checks the shape. BadInputError where nothing but a few dark codes is set: which of them
-    mean the inside cannot be told.
+    `size` = (width, height) checks the shape. BadInputError where a value is not finite, and where nothing but a few
+    dark codes is set: which of them mean the inside cannot be told.
     """
     buffer = _open(path)
     step = _code_step(buffer.spec())  # before reading, which changes the buffer's format
@@ -122,6 +141,8 @@ def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
             f"mask {path} is {grey.shape[1]}x{grey.shape[0]} but its image is {size[0]}x{size[1]}; "
             "make the mask again on this image"
         )
+    if strange := int((~np.isfinite(grey)).sum()):
+        raise BadInputError(f"mask {path} has {strange} pixels that are not finite; save it as black and white")
     top = float(grey.max(initial=0.0))
     if step and 0 < top <= MIDDLE:
         if round(top / step) == 1:
@@ -142,8 +163,13 @@ def turn_upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def write_png(path: Path, image: ArrayLike) -> None:
-    """Write [h, w, 3] or [h, w] in [0, 1] (or uint8 as it is) as an 8-bit PNG; the same pixels give the same bytes."""
+    """Write [h, w, 3] or [h, w] in [0, 1] (or uint8 as it is) as an 8-bit PNG; the same pixels give the same bytes.
+
+    Values that are not finite, which have no code, are refused (ValueError).
+    """
     image = np.asarray(image)
+    if found := find_non_finite({path.name: image}):
+        raise ValueError(f"{path}: values that are not finite: {found[0]}")
     pixels = image if image.dtype == np.uint8 else to_bytes(image)
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
     height, width, channels = pixels.shape
@@ -209,9 +235,9 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
-def _attributes(spec: oiio.ImageSpec) -> dict[str, int | float | str]:
+def _attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
     """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
-    found: dict[str, int | float | str] = {}
+    found: dict[str, Attribute] = {}
     for attribute in spec.extra_attribs:
         try:
             name, value = attribute.name, attribute.value
@@ -219,6 +245,8 @@ def _attributes(spec: oiio.ImageSpec) -> dict[str, int | float | str]:
             continue
         if isinstance(value, (int, float, str)):
             found[name] = value
+        elif isinstance(value, tuple) and all(isinstance(part, (int, float)) for part in value):
+            found[name] = tuple(map(float, value))
     return found
 
 

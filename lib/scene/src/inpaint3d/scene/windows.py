@@ -58,7 +58,8 @@ def draw_window(
 
     Windows are drawn in proportion to the hole that they cover, since the rest of a window only tells the prior where
     it is. Where no window of this span holds enough known pixels the one with the most is taken; None only where the
-    view has no hole at all. Without `rng` it is the middle one of those that cover most of the hole.
+    view has no hole at all. Without `rng` it is the middle one of those that cover most of the hole. Where its rays
+    are further apart than the hole is wide, and all of them miss it, a smaller one whose rays miss no pixel is taken.
     """
     side = compute_window_side(span, size, *hole.shape)
     covered = sum_boxes(hole, side).astype(np.float64)
@@ -76,7 +77,10 @@ def draw_window(
         cumulative = odds.ravel().cumsum()
         chosen = int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
     y, x = np.unravel_index(min(chosen, odds.size - 1), odds.shape)
-    return Window(view, float(x), float(y), side / size, size)
+    window = Window(view, float(x), float(y), side / size, size)
+    if side > size and not window.sample(hole).any():
+        return draw_window(hole, known, view, size=size, span=0.0, min_known=min_known, rng=rng)
+    return window
 
 
 def choose_fixed_windows(

@@ -27,7 +27,8 @@ KEPT_AFTER_SUCCESS = "1h"
 PRESET, LEFT_OUT = f"{LABEL}/preset", f"{LABEL}/left-out"
 INVOCATION, OUTPUTS = "/inpaint3d/invocation.json", "/tmp/outputs"  # noqa: S108 - a path in a pod
 RECORDER = "inpaint3d/orchestrator"
-AWAIT_MASK = "await-mask"
+AWAIT = {"mask-request": "await-mask", "painted-views": "await-painting"}
+"""External -> the step that waits for somebody to supply it."""
 
 
 def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, suffix: str = "") -> list[Document]:
@@ -55,7 +56,7 @@ def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, su
 def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission) -> Document:
     body, pipeline = cluster.spec, configured.pipeline
     nodes = [_stage(configured, cluster, submission, node) for node in pipeline.order]
-    waiting = [_await_mask()] if submission.awaitMasks else []
+    waiting = [_await(external) for external in submission.awaited]
     spec: Document = {
         "entrypoint": "scenes",
         "onExit": "record",
@@ -123,9 +124,11 @@ def _scene(pipeline: Pipeline, submission: Submission) -> Document:
     for node in pipeline.order:
         arguments = [{"name": p, "value": _source(r, submission)} for p, r in _ports(pipeline, node).items()]
         after = sorted(pipeline.upstream(node))
-        if submission.awaitMasks and _wants_mask(pipeline, node):
-            tasks.append({"name": AWAIT_MASK, "template": AWAIT_MASK, "dependencies": after})
-            after = [*after, AWAIT_MASK]
+        for step in [AWAIT[e] for e in submission.awaited if f"external.{e}" in _ports(pipeline, node).values()]:
+            # Where several nodes read it, the first one's inputs are there before anybody is asked.
+            if all(task["name"] != step for task in tasks):
+                tasks.append({"name": step, "template": step, "dependencies": sorted(pipeline.upstream(node))})
+            after = [*after, step]
         task: Document = {"name": node, "template": node, "arguments": {"parameters": arguments}}
         tasks.append(task | ({"dependencies": after} if after else {}))
     inputs = [{"name": n} for n in ("name", *pipeline.spec.spec.externals)]
@@ -146,13 +149,9 @@ def _source(reference: str, submission: Submission) -> str:
     node, _, name = reference.partition(".")
     if node != "external":
         return f"{{{{tasks.{node}.outputs.parameters.{name}}}}}"
-    if name == "mask-request" and submission.awaitMasks:
-        return f"{{{{tasks.{AWAIT_MASK}.outputs.parameters.{name}}}}}"
+    if name in submission.awaited:
+        return f"{{{{tasks.{AWAIT[name]}.outputs.parameters.{name}}}}}"
     return f"{{{{inputs.parameters.{name}}}}}"
-
-
-def _wants_mask(pipeline: Pipeline, node: str) -> bool:
-    return "external.mask-request" in _ports(pipeline, node).values()
 
 
 def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission, node: str) -> Document:
@@ -218,6 +217,7 @@ def _invocation(configured: ConfiguredPipeline, submission: Submission, node: st
             "device": device,
             "threads": max(1, int(count_cpus(cpu))),
             "stub": submission.stub,
+            **({"accept_doubtful": True} if submission.acceptDoubtful else {}),
         },
         sort_keys=True,
     )
@@ -228,10 +228,10 @@ def _file(name: str, path: str, data: str) -> Document:
     return {"name": name, "path": path, "mode": 0o444, "raw": {"data": data}}
 
 
-def _await_mask() -> Document:
-    """Waits for a person, who supplies the digest of a mask request when resuming."""
-    supplied: Document = {"name": "mask-request", "valueFrom": {"supplied": {}}}
-    return {"name": AWAIT_MASK, "suspend": {}, "outputs": {"parameters": [supplied]}}
+def _await(external: str) -> Document:
+    """Waits for a person, who supplies the digest of what they made when resuming."""
+    supplied: Document = {"name": external, "valueFrom": {"supplied": {}}}
+    return {"name": AWAIT[external], "suspend": {}, "outputs": {"parameters": [supplied]}}
 
 
 def _record(cluster: ClusterSpec, submission: Submission) -> Document:

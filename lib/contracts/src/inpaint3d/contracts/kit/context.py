@@ -18,6 +18,7 @@ from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.contracts.store.workspace import remove
 
 M = TypeVar("M", bound=Closed)
+T = TypeVar("T")
 
 PROGRESS_INTERVAL_S = 0.2
 CLOCK_INTERVAL_S = 2.0
@@ -111,6 +112,9 @@ class Context:
     def __init__(self, *, seed: int, device: str, threads: int, work: Path, emit: Emit) -> None:
         self.seed, self.device, self.threads, self.work = seed, device, threads, work
         self.non_finite: dict[str, int] = {}
+        self.doubts: list[str] = []
+        self.health: dict[str, float] = {}
+        """Counters of a fit by name; the sidecar has them beside the times."""
         self.stopping = False
         self._emit = emit
         self._last_progress = self._last_clock = 0.0
@@ -124,7 +128,7 @@ class Context:
         now = time.monotonic()
         if now - self._last_progress >= PROGRESS_INTERVAL_S or done >= total:
             self._last_progress = now
-            self._emit("progress", done=done, total=total, message=message, **figures)
+            self._emit("progress", done=done, total=total, message=message, **self._keep_finite("progress", figures))
         if now - self._last_clock >= CLOCK_INTERVAL_S:
             self._save_clock(now)
 
@@ -132,15 +136,35 @@ class Context:
         """Tell something that a person may want to know."""
         self._emit("log", message=message, **values)
 
+    def doubt(self, message: str) -> None:
+        """Say why the result cannot be right, with figures and the repair; the run stops unless somebody insists."""
+        self.doubts.append(message)
+        self.log(f"doubtful: {message}")
+
     def record(self, series: str, **row: float | str) -> None:
-        """Append a row with the wall and CPU seconds so far to a series of the sidecar."""
+        """Append a row with the wall and CPU seconds so far to a series of the sidecar.
+
+        A figure that is not finite, which JSON has no word for, is left out and counted.
+        """
         wall, cpu = self.elapsed()
-        line = {"series": series, **row, "wall_s": round(wall, 3), "cpu_s": round(cpu, 3)}
+        line = {
+            "series": series,
+            **self._keep_finite(f"series.{series}", row),
+            "wall_s": round(wall, 3),
+            "cpu_s": round(cpu, 3),
+        }
         path = self.work / "series.jsonl"
         if path.is_dir():
             remove(path)
         with path.open("ab") as file:
             file.write(canonical_json(line) + b"\n")
+
+    def _keep_finite(self, place: str, figures: Mapping[str, T]) -> dict[str, T]:
+        lost = [name for name, value in figures.items() if isinstance(value, float) and not math.isfinite(value)]
+        for name in lost:
+            where = f"{place}.{name}"
+            self.non_finite[where] = self.non_finite.get(where, 0) + 1
+        return {name: value for name, value in figures.items() if name not in lost}
 
     def elapsed(self) -> tuple[float, float]:
         """Wall and CPU seconds of the work so far, those before a kill included."""
@@ -157,6 +181,8 @@ class Context:
             "peak_memory_bytes": peak * 1024,
             "threads": self.threads,
             "non_finite": self.non_finite,
+            "doubts": self.doubts,
+            "health": self.health,
             "series": self._read_series(),
         }
 

@@ -20,6 +20,7 @@ class Invocation(Closed):
     threads: int = Field(default=2, ge=1)
     stub: bool = False
     die_with_parent: bool = False
+    accept_doubtful: bool = Field(default=False, description="end well also where the result is doubtful")
 
     @field_validator("inputs", mode="before")
     @classmethod

@@ -1,9 +1,13 @@
 """The key of a stage run: everything that its result depends on, and nothing else.
 
-Not in it: resources, retries, threads, absolute paths. Two tiers (key -> outputs -> objects) give early
-cut-off: inputs are *content* digests, so that an upstream rerun that produces identical bytes reruns nothing.
+The instruction set is in it, since compiled code rounds as its vectors are wide. Not in it: resources, retries,
+threads, absolute paths. Two tiers (key -> outputs -> objects) give early cut-off: inputs are *content* digests, so
+that an upstream rerun that produces identical bytes reruns nothing.
 """
 
+import platform
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.models.base import Digest
@@ -11,6 +15,10 @@ from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.stage import StageSpec
 
 ALGORITHM = "1"
+_AVX2 = {"avx2", "fma"}
+_AVX512 = {"avx512f", "avx512dq", "avx512vl", "avx512bw", "fma"}
+VECTORS = {"amx": {"amx_bf16", *_AVX512}, "avx512": _AVX512, "avx2": _AVX2}
+"""Name -> the processor's flags that it needs; the first that fits is used."""
 
 Inputs = dict[str, Digest | list[Digest]]
 
@@ -36,7 +44,22 @@ def key_components(
         "seed": seed,
         "device": device,
     }
-    return components | ({"stub": True} if stub else {})
+    return components | ({"stub": True} if stub else {"instruction_set": find_instruction_set()})
+
+
+@cache
+def find_instruction_set() -> str:
+    """What numeric code of this machine is compiled for, as far as results depend on it.
+
+    The architecture, and on x86 the widest vectors that kernels and torch choose between at run time.
+    """
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    flags = set(next((line for line in lines if line.startswith("flags")), "").partition(":")[2].split())
+    widest = next((name for name, needed in VECTORS.items() if needed <= flags), "")
+    return "-".join(part for part in (platform.machine(), widest) if part)
 
 
 def run_key(components: dict[str, Any]) -> Digest:

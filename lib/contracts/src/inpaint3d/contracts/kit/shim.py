@@ -23,7 +23,14 @@ from typing import Any, TextIO, TypeVar
 
 from pydantic import ValidationError
 
-from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, InterruptedRun, find_os_error, from_os_error
+from inpaint3d.contracts.errors import (
+    ConfigurationError,
+    DoubtfulError,
+    Inpaint3dError,
+    InterruptedRun,
+    find_os_error,
+    from_os_error,
+)
 from inpaint3d.contracts.kit.blame import find_fault
 from inpaint3d.contracts.kit.code import code_digest, distribution_of, find_requirements, save_code
 from inpaint3d.contracts.kit.confine import confine, die_with_parent
@@ -216,6 +223,8 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
             die_with_parent()
         announce_threads(invocation.threads)
         record = execute(module, open_store(place), invocation, events)
+        if record.doubts and not invocation.accept_doubtful:
+            raise DoubtfulError(record.doubts)
         if outputs is not None:
             _write_outputs(outputs, stage_spec(module), record)
     except Inpaint3dError as error:

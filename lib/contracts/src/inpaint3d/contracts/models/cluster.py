@@ -104,11 +104,22 @@ class Submission(Closed):
     preset: str | None
     overrides: dict[str, dict[str, Any]] = {}
     compare: bool = Field(default=False, description="also what the result is compared with")
+    want: tuple[str, ...] = Field(default=(), description="nodes that are wanted besides the pipeline's own")
     seed: int = 0
     device: Literal["cpu", "cuda"] = "cpu"
     stub: bool = False
     awaitMasks: bool = Field(
         default=False, description="stop before mask-authoring until somebody supplies a mask request"
     )
+    acceptDoubtful: bool = Field(default=False, description="go on where a result cannot be right")
+    awaitPaintings: bool = Field(
+        default=False, description="stop before view-completion until somebody supplies painted views"
+    )
     images: dict[str, Image]
     scenes: tuple[Scene, ...]
+
+    @property
+    def awaited(self) -> tuple[str, ...]:
+        """The externals that somebody supplies while the scene waits."""
+        asked = {"mask-request": self.awaitMasks, "painted-views": self.awaitPaintings}
+        return tuple(external for external, waits in asked.items() if waits)

@@ -37,6 +37,7 @@ class NodeRun(Closed):
     cpu_s: float | None = None
     peak_memory_bytes: int | None = None
     non_finite: dict[str, int] = {}
+    doubts: tuple[str, ...] = Field(default=(), description="why its result cannot be right")
     error: str | None = None
     exit_code: int | None = None
 
@@ -68,6 +69,11 @@ class RunRecord(Closed):
     process: str | None = Field(default=None, description="what runs it, or ran it: `store.Owner`")
     machine: Machine
     nodes: tuple[NodeRun, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the results cannot be right, by node."""
+        return tuple(f"{n.node}: {doubt}" for n in self.nodes for doubt in n.doubts)
 
     def encode(self) -> bytes:
         """The file's bytes: JSON with the digest of all the rest in it."""
@@ -118,6 +124,7 @@ class RunReport(Closed):
     run: str
     preset: str | None
     status: str
+    doubts: tuple[str, ...] = Field(default=(), description="why the results cannot be right: node: reason")
     machine: Machine
     stages: tuple[StageFigures, ...]
     protocols: tuple[Protocol, ...] = Field(description="empty until evaluation has run")

@@ -42,6 +42,11 @@ class Record(Closed):
     provenance: dict[str, Any]
     timings: dict[str, Any]
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the result cannot be right, as its stage measured; empty where nothing speaks against it."""
+        return tuple(self.timings.get("doubts", ()))
+
     def encode(self) -> bytes:
         """The file's bytes: the record's canonical JSON, with the digest of all the rest in it."""
         return self._encode(canonical_json(self.components))

@@ -1,7 +1,7 @@
-"""The heavy operations of a field, in three versions with the same signatures.
+"""The heavy operations of a field, in four versions with the same signatures.
 
-`reference` is readable torch and the truth; `native` holds the CPU's kernels, where they are installed; `compiled` is
-the reference through torch.compile, on accelerators where that works.
+`reference` is readable torch and the truth; `native` holds the CPU's kernels, where they are installed; `triton` those
+for GPUs; `compiled` is the reference through torch.compile, on accelerators where that works.
 """
 
 import importlib
@@ -17,12 +17,12 @@ from inpaint3d.radiance.backends.reference import AdamStep, Cells, Level
 
 __all__ = ["AdamStep", "Backend", "Cells", "Level", "Name", "name_of", "select"]
 
-Name = Literal["reference", "native", "compiled"]
+Name = Literal["reference", "native", "triton", "compiled"]
 
 
 @runtime_checkable
 class Backend(Protocol):
-    """What both modules offer; shapes and meaning are documented in `reference`."""
+    """What all modules offer; shapes and meaning are documented in `reference`."""
 
     __name__: str
 
@@ -47,14 +47,14 @@ class Backend(Protocol):
     @staticmethod
     def interlevel(ends: Tensor, weights: Tensor, other_ends: Tensor, other_weights: Tensor) -> Tensor: ...
     @staticmethod
-    def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, how: AdamStep) -> int: ...
+    def adam_step(param: Tensor, grad: Tensor, m: Tensor, v: Tensor, how: AdamStep) -> int | Tensor: ...
 
 
 def select(device: torch.device | str, backend: Name | None = None) -> Backend:
-    """The module that computes on `device`: `backend` where it is named, else native on a CPU that has it, compiled on
-    an accelerator for which this machine can compile, and otherwise the reference.
+    """The module that computes on `device`: `backend` where it is named, else native on a CPU that has it, triton or
+    compiled on an accelerator for which this machine can compile, and otherwise the reference.
 
-    Raises ImportError where "native" is asked for and the kernels are not installed, ValueError for any other name.
+    Raises ImportError where "native" or "triton" is asked for and is not installed, ValueError for any other name.
     """
     if backend not in (None, *get_args(Name)):
         raise ValueError(f"backend {backend!r} is unknown; use one of {', '.join(get_args(Name))}")
@@ -63,14 +63,16 @@ def select(device: torch.device | str, backend: Name | None = None) -> Backend:
 
 @cache
 def _load(backend: Name | None, device_type: str) -> Backend:
-    if backend is None:
-        backend = "native" if device_type == "cpu" else "compiled"
+    if backend is not None:
+        return cast(Backend, importlib.import_module(f"{__name__}.{backend}"))
+    for name in ("native",) if device_type == "cpu" else ("triton", "compiled"):
         try:
-            module: Any = importlib.import_module(f"{__name__}.{backend}")
+            module: Any = importlib.import_module(f"{__name__}.{name}")
         except ImportError:
-            return cast(Backend, reference)
-        return cast(Backend, module if backend == "native" or module.can_compile(device_type) else reference)
-    return cast(Backend, importlib.import_module(f"{__name__}.{backend}"))
+            continue
+        if name == "native" or module.can_compile(device_type):
+            return cast(Backend, module)
+    return cast(Backend, reference)
 
 
 def name_of(module: Backend) -> Name:

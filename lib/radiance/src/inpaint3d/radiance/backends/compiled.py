@@ -29,6 +29,8 @@ grid_histogram = torch.compile(reference.grid_histogram, dynamic=True)
 @cache
 def can_compile(device_type: str) -> bool:
     """Whether this machine can compile for a device: images that ship no compiler cannot. Tries it, once."""
+    if device_type == "cuda" and not torch.cuda.is_available():
+        return False
     try:
         torch.compile(_try_out)(torch.zeros(8, device=device_type))
     except RuntimeError:  # every error of torch.compile is one

@@ -209,7 +209,7 @@ def grid_learn(
     seen: Float[Tensor, " n"],
     memory: float,
 ) -> None:
-    """`reference.grid_learn`; a density that is not contiguous goes there, and a NaN is not seen here."""
+    """`reference.grid_learn`; a density that is not contiguous goes there."""
     if not are_supported(density, cube, seen) or not density.is_contiguous():
         reference.grid_learn(density, side, cube, seen, memory)
         return
@@ -335,7 +335,7 @@ def adam_step(
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
     how: AdamStep,
-) -> int:
+) -> int | Tensor:
     """`reference.adam_step` in one pass; denormal moments become zero.
 
     param, m and v that are not contiguous go to the reference.

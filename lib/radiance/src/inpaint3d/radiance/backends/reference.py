@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from inpaint3d.radiance import safe
 from inpaint3d.radiance.architecture import Level, levels_of
 from inpaint3d.radiance.contraction import unit_cube
 from inpaint3d.radiance.volume import alpha_weights
@@ -31,7 +32,8 @@ def corners(points: Float[Tensor, "3 n"], level: Level) -> tuple[Int64[Tensor, "
     scaled = points * level.resolution
     low = scaled.detach().floor().clamp_(0, level.resolution - 1)
     share = torch.stack([low + 1 - scaled, scaled - low])  # [2, 3, n]
-    vertex = torch.stack([low, low + 1]).long()
+    # A point that is NaN is read at the origin, as a NaN is no number of a cell; its weights still tell what it was.
+    vertex = torch.stack([low, low + 1]).where(low.isfinite(), 0).long()
     weights = share[:, None, None, 2] * share[None, :, None, 1] * share[None, None, :, 0]
     x, y, z = vertex[None, None, :, 0], vertex[None, :, None, 1], vertex[:, None, None, 2]
     if level.dense:
@@ -95,7 +97,7 @@ def colours(
         if exposure is not None:
             runs = logits.reshape(len(exposure), len(logits) // max(len(exposure), 1), 3)
             logits = torch.addcmul(exposure[:, None, 3:], runs, torch.exp(exposure[:, None, :3])).flatten(0, 1)
-        return torch.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
+        return safe.sigmoid(logits) * (1 + 2 * COLOUR_PADDING) - COLOUR_PADDING
 
     both = diffuse if specular is None else torch.add(diffuse, specular, alpha=specular_scale)
     return to_colour(both), to_colour(diffuse)
@@ -188,7 +190,7 @@ def resample(
     cdf_low, cdf_high = cdf.gather(1, right - 1), cdf.gather(1, right)
     s_low, s_high = sdist.gather(1, right - 1), sdist.gather(1, right)
     gap = cdf_high - cdf_low
-    share = ((u - cdf_low) / torch.where(gap > 0, gap, 1)).clamp_(0, 1)
+    share = ((u - cdf_low) / torch.where(gap <= 0, 1, gap)).clamp_(0, 1)
     centres = s_low + share * (s_high - s_low)
     middles = (centres[:, 1:] + centres[:, :-1]) / 2
     first = torch.maximum(2 * centres[:, :1] - middles[:, :1], sdist[:, :1])
@@ -245,19 +247,21 @@ def adam_step(
     m: Float[Tensor, "*shape"],
     v: Float[Tensor, "*shape"],
     how: AdamStep,
-) -> int:
+) -> int | Tensor:
     """One step of Adam (arXiv:1412.6980, algorithm 1) in place on param, m and v.
 
-    Numbers whose gradient is not finite are left alone, moments too: how many is returned.
+    Numbers that the step would not leave finite are left alone, moments too: how many is returned, as a tensor, since
+    whoever reads it waits for the device. That is where the gradient is not finite, where its square overflows (a
+    second moment that is infinite stops a number for good), and where the number or its moments are not finite already.
     """
     step, lr, beta1, beta2, eps, decay, sparse = how
-    finite = torch.isfinite(grad)
-    moves = finite & (grad != 0) if sparse else finite
+    wanted = grad != 0 if sparse else torch.ones_like(grad, dtype=torch.bool)
     slope = grad + decay * param
     first = torch.lerp(m, slope, 1 - beta1)
     second = beta2 * v + (1 - beta2) * slope.square()
     step_size = lr / (1 - beta1**step)
     to = param - step_size * first / ((second / (1 - beta2**step)).sqrt_() + eps)
+    finite = torch.isfinite(second) & torch.isfinite(to)
     for part, moved in ((param, to), (m, first), (v, second)):
-        part.copy_(torch.where(moves, moved, part))
-    return int(finite.numel() - finite.sum())
+        part.copy_(torch.where(wanted & finite, moved, part))
+    return (wanted & ~finite).sum()

@@ -1,5 +1,6 @@
 """NeRF's synthetic scenes: transforms_train.json, transforms_test.json and transforms_val.json, one for each split."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, SourceFiles, name_pictures, one_folder
@@ -26,8 +27,5 @@ def find(root: Path, with_truth: bool) -> Found:
     if (root / VALIDATION_FILE).is_file():
         notes.append(f"{VALIDATION_FILE} is left out")
     names = name_pictures([f.image for f in [*frames, *truth]])  # train/r_0 and test/r_0 are two views
-    frames, truth = (
-        [FoundFrame(names[f.image], f.image, f.mask, f.camera, f.hole_is_black) for f in views]
-        for views in (frames, truth)
-    )
+    frames, truth = ([replace(f, name=names[f.image]) for f in views] for views in (frames, truth))
     return Found("blender", frames, truth, ordered=one_folder(frames), notes=notes + files.notes(FILE))

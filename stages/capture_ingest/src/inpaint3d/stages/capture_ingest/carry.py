@@ -1,6 +1,7 @@
 """A found picture becomes a frame of the capture: decoded once, upright, sRGB, with its mask at its size."""
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
     opaque = read_opaque(frame.image) if header.channels in WITH_ALPHA else None
     if opaque is not None and opaque.all():
         opaque = None
-    target = _write_picture(frame, header, codes, opaque, folder)
+    target, original = _write_picture(frame, header, codes, opaque, folder)
     mask = None if frame.mask is None else fit_mask(frame.mask, header, hole_is_black=frame.hole_is_black)
     if mask is not None:
         write_mask(_new(folder / "masks" / f"{frame.name}.png", frame), mask)
@@ -56,10 +57,12 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
         CapturedFrame(
             name=frame.name,
             path=f"frames/{target.name}",
+            original=None if original is None else f"originals/{original.name}",
             width=width,
             height=height,
             exif=read_exif(header, width, height),
             camera=frame.camera,
+            other_pose=frame.other_pose,
             mask=None if mask is None else f"masks/{frame.name}.png",
         ),
         None if mask is None else float(mask.mean()),
@@ -69,8 +72,11 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
 
 def _write_picture(
     frame: FoundFrame, header: Header, codes: NDArray[np.generic], opaque: Mask | None, folder: Path
-) -> Path:
-    """Byte for byte where that is an upright 8-bit sRGB file already; transparent pixels stay transparent."""
+) -> tuple[Path, Path | None]:
+    """Byte for byte where that is an upright 8-bit sRGB file already; transparent pixels stay transparent.
+
+    Where it is not, the file goes along as it is, for who needs all that it holds.
+    """
     whole = header.bits == 8 and header.orientation == 1 and header.profile is None and opaque is None
     as_it_is = header.format in KEPT_AS_THEY_ARE and whole
     suffix = ".jpg" if as_it_is and header.format == "jpeg" else ".png"
@@ -82,7 +88,11 @@ def _write_picture(
         write_png(target, codes)
     else:
         write_png(target, _fill_transparent(frame, codes if codes.dtype == np.uint8 else to_bytes(codes), opaque))
-    return target
+    original = None if as_it_is else folder / "originals" / f"{frame.name}{frame.image.suffix.lower()}"
+    if original is not None:
+        original.parent.mkdir(exist_ok=True)
+        shutil.copyfile(frame.image, original)
+    return target, original
 
 
 def _new(target: Path, frame: FoundFrame) -> Path:
@@ -141,4 +151,21 @@ def read_exif(header: Header, width: int, height: int) -> Exif:
         iso=number("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"),
         f_number=number("FNumber", "Exif:FNumber"),
         camera=f"{make} {model}".strip() or None,
+        position=_read_position(values),
     )
+
+
+def _read_position(values: Mapping[str, object]) -> tuple[float, float, float] | None:
+    """Latitude, longitude (degrees) and altitude (m, 0 where it is not told); None where GPS told no place."""
+    angles: list[float] = []
+    for name, negative in (("GPS:Latitude", "S"), ("GPS:Longitude", "W")):
+        parts = values.get(name)
+        if not isinstance(parts, tuple) or len(parts) != 3 or not np.isfinite(parts).all():
+            return None
+        degrees = parts[0] + parts[1] / 60 + parts[2] / 3600
+        angles.append(-degrees if str(values.get(f"{name}Ref")).strip() == negative else degrees)
+    altitude = values.get("GPS:Altitude")
+    height = float(altitude) if isinstance(altitude, (int, float)) and np.isfinite(altitude) else 0.0
+    if not (abs(angles[0]) <= 90 and abs(angles[1]) <= 180 and any(angles)):
+        return None
+    return angles[0], angles[1], height

@@ -16,7 +16,7 @@ class Config(Closed):
         default="auto", description="what the source is; auto: told by the files in it"
     )
     video_frames: Annotated[int, Field(ge=2, le=2000)] = Field(
-        default=60, description="frames taken from a video: the sharpest of as many equal stretches"
+        default=60, description="frames taken from a video, at most: the sharpest of as many stretches of equal motion"
     )
     spin_nerf_truth: Annotated[int, Field(ge=0)] = Field(
         default=40, description="first files of the SPIn-NeRF layout, which show the scene without the object"

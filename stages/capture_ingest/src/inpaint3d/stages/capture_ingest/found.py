@@ -10,6 +10,7 @@ from pathlib import Path, PurePath
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
+from inpaint3d.contracts.models.base import Pose
 from inpaint3d.scene.image_io import PICTURE_SUFFIXES
 
 
@@ -21,6 +22,7 @@ class FoundFrame:
     image: Path
     mask: Path | None = None
     camera: KnownCamera | None = None
+    other_pose: Pose | None = None  # see CapturedFrame
     hole_is_black: bool = False  # nerfstudio's masks say what is to be used
 
 

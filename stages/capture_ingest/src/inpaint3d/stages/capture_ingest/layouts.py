@@ -45,7 +45,9 @@ LAYOUTS = {
         "`transforms_test.json`, unless `blender_truth=false`",
     ),
     "colmap": Layout("`sparse/0/`, or the largest model of `sparse/`", "text or binary model", BESIDE, ""),
-    "llff": Layout("`poses_bounds.npy`", "rows in the order of names as text", BESIDE, ""),
+    "llff": Layout(
+        "`poses_bounds.npy`", "rows in the order of names as text, or as numbers, as the pictures support", BESIDE, ""
+    ),
     "realestate10k": Layout(
         "a text file that begins with a video's address", "from the file; 80 frames at 360 rows (parameters)", "", ""
     ),

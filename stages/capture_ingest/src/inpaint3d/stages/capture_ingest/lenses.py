@@ -14,9 +14,12 @@ from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.image_io import Header, read_header
 
 # COLMAP's models and how many parameters they have (src/colmap/sensor/models.h); what is not here is refused by name.
-PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8}
+PARAMETERS = {
+    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8,
+    "SIMPLE_RADIAL_FISHEYE": 4, "RADIAL_FISHEYE": 5,
+}  # fmt: skip
 SUPPORTED: tuple[str, ...] = get_args(KnownCamera.model_fields["model"].annotation)
-SINGLE_FOCAL = frozenset(["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"])
+SINGLE_FOCAL = frozenset(["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"])
 ASPECT_TOLERANCE = 0.01
 # Three printed decimals leave a rotation so far from orthonormal.
 ROTATION_TOLERANCE = 5e-3

@@ -3,11 +3,13 @@
 import tokenize
 import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
+from inpaint3d.contracts.models.base import Pose
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_llff
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, name_pictures, pictures_in
@@ -16,25 +18,42 @@ from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera, state
 FILE = "poses_bounds.npy"
 
 
-def read_cameras(root: Path, pictures: list[Path]) -> dict[Path, KnownCamera]:
-    """Picture -> its camera. The rows have no names: they follow the pictures' names sorted as text.
+class RowCamera(NamedTuple):
+    """A picture's camera by the rows in the order of names as text; its pose if they follow the names as numbers."""
 
-    So LLFF's imgs2poses.py writes them: f_10 before f_2.
+    camera: KnownCamera
+    other_pose: Pose | None = None
+
+
+def read_cameras(root: Path, pictures: list[Path]) -> dict[Path, RowCamera]:
+    """Picture -> its camera. The rows have no names: LLFF's imgs2poses.py writes them in the order of names as text.
+
+    Other tools write f_2 before f_10: where that is another order, each camera has its pose under that one too, and
+    pose-estimation takes the order that the pictures support.
     """
     rows = _read_rows(root / FILE)
     if len(rows) != len(pictures):
         raise BadInputError(f"{FILE} has {len(rows)} cameras for {len(pictures)} pictures; they must be as many")
-    pairs = zip(rows, sorted(pictures, key=lambda p: p.name), strict=True)
-    return {path: _camera(row, path) for row, path in pairs}
+    as_text = sorted(pictures, key=lambda p: p.name)
+    cameras = {path: _camera(row, path) for row, path in zip(rows, as_text, strict=True)}
+    if as_text == pictures or any(c.params != cameras[as_text[0]].params for c in cameras.values()):
+        return {path: RowCamera(camera) for path, camera in cameras.items()}
+    others = {path: _camera(row, path).world_from_cam for row, path in zip(rows, pictures, strict=True)}
+    return {path: RowCamera(camera, others[path]) for path, camera in cameras.items()}
 
 
-def describe_order(pictures: list[Path]) -> list[str]:
+def describe_order(pictures: list[Path], cameras: dict[Path, RowCamera]) -> list[str]:
     """A note where the rows' order is not the one in which a person counts."""
     as_text = sorted(pictures, key=lambda p: p.name)
     if as_text == pictures:
         return []
     first, other = next((a.name, b.name) for a, b in zip(as_text, pictures, strict=True) if a != b)
-    return [f"the rows of {FILE} are taken in the order of names as text: {first} before {other}"]
+    order = f"in the order of names as text, {first} before {other}"
+    if cameras[pictures[0]].other_pose is None:
+        return [f"the rows of {FILE} are taken {order}"]
+    return [
+        f"the rows of {FILE} have no names: {order}, or as numbers: pose-estimation takes what the pictures support"
+    ]
 
 
 def _read_rows(path: Path) -> np.ndarray:
@@ -75,5 +94,5 @@ def find(root: Path) -> Found:
     cameras = read_cameras(root, pictures)
     names = name_pictures(pictures)
     masks = masks_for(pictures, root / "masks")
-    frames = [FoundFrame(names[p], p, masks.get(p), cameras[p]) for p in pictures]
-    return Found("llff", frames, notes=describe_order(pictures))
+    frames = [FoundFrame(names[p], p, masks.get(p), *cameras[p]) for p in pictures]
+    return Found("llff", frames, notes=describe_order(pictures, cameras))

@@ -83,9 +83,10 @@ def _mask(files: SourceFiles, values: dict[str, Any], document: str) -> Path | N
 
 
 def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamera:
-    """OPENCV where there is distortion, else PINHOLE; BadInputError names the document and the picture."""
+    """A fisheye, OPENCV where there is distortion, else PINHOLE; BadInputError names the document and the picture."""
+    model = _model(values)
     try:
-        check_model(_model(values))
+        check_model(model)
     except ValueError as error:
         raise BadInputError(f"{document}: the camera of {path.name} {error}") from error
     header = read_header(path)
@@ -95,25 +96,27 @@ def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamer
         fx = float(values["fl_x"]) if "fl_x" in values else _focal(float(values["camera_angle_x"]), size[0])
         fy = float(values["fl_y"]) if "fl_y" in values else _vertical(values, fx, size[1])
         pinhole = (fx, fy, float(values.get("cx", size[0] / 2)), float(values.get("cy", size[1] / 2)))
-        k3, k4, *distortion = (float(values.get(k, 0.0)) for k in ("k3", "k4", "k1", "k2", "p1", "p2"))
+        k1, k2, k3, k4, p1, p2 = (float(values.get(k, 0.0)) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
         pose = from_opengl(values["transform_matrix"])
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise BadInputError(
             f"{document}: the camera of {path.name} is incomplete ({error!r}); export it again"
         ) from error
+    if model == "OPENCV_FISHEYE":
+        return fit_camera(path, StatedLens(model, (*pinhole, k1, k2, k3, k4), size), pose, document)
     if k3 or k4:
         raise BadInputError(f"{document}: {path.name} has k3 or k4; undistort the pictures, or estimate the cameras")
-    lens = (
-        StatedLens("OPENCV", (*pinhole, *distortion), size) if any(distortion) else StatedLens("PINHOLE", pinhole, size)
-    )
+    bends = any((k1, k2, p1, p2))
+    lens = StatedLens("OPENCV", (*pinhole, k1, k2, p1, p2), size) if bends else StatedLens("PINHOLE", pinhole, size)
     return fit_camera(path, lens, pose, document)
 
 
 def _model(values: dict[str, Any]) -> str:
-    """The model's name; instant-ngp says fisheye by a flag."""
-    for flag, model in (("is_fisheye", "OPENCV_FISHEYE"), ("ftheta_p0", "FTHETA")):
-        if values.get(flag):
-            return f"{model} ({flag})"
+    """The model's name in COLMAP's words; instant-ngp says by flags what is no perspective."""
+    if values.get("ftheta_p0"):
+        return "FTHETA (ftheta_p0)"
+    if values.get("is_fisheye"):
+        return "OPENCV_FISHEYE"
     return str(values.get("camera_model") or "OPENCV").upper()
 
 

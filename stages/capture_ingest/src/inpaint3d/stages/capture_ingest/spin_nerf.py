@@ -20,11 +20,11 @@ def find(root: Path, truth_count: int) -> Found:
         )
     cameras = llff.read_cameras(root, pictures)
     names = name_pictures(pictures)
-    notes = llff.describe_order(pictures)
+    notes = llff.describe_order(pictures, cameras)
 
     def views(chosen: list[Path], labels: str) -> list[FoundFrame]:
         masks = _labels_for(chosen, root / FOLDER / labels, notes)
-        return [FoundFrame(names[p], p, masks.get(p), cameras[p]) for p in chosen]
+        return [FoundFrame(names[p], p, masks.get(p), *cameras[p]) for p in chosen]
 
     truth, frames = views(pictures[:truth_count], TEST_LABELS), views(pictures[truth_count:], LABELS)
     return Found("spin-nerf", frames, truth, notes=notes)

@@ -30,8 +30,9 @@ def own_holes_grid(
     """The capture's own holes: rows of hole, sample, expectation, and the hole again (its truth is not known)."""
     shown = [pictures[i] for i in np.linspace(0, len(pictures) - 1, min(ROWS, len(pictures))).round().astype(int)]
     squares = [_square_round_hole(picture, prior.spec.size) for picture in shown]
-    image = torch.from_numpy(np.stack([colour for colour, _ in squares])).permute(0, 3, 1, 2).contiguous()
-    hole = torch.from_numpy(np.stack([unknown for _, unknown in squares]))[:, None].float()
+    device = next(prior.parameters()).device
+    image = torch.from_numpy(np.stack([colour for colour, _ in squares])).to(device).permute(0, 3, 1, 2).contiguous()
+    hole = torch.from_numpy(np.stack([unknown for _, unknown in squares])).to(device)[:, None].float()
     sample = inpaint(prior, image, hole, steps=steps, generator=generator)
     write_png(path, draw_grid(image, hole, sample, mean_estimate(prior, image, hole, generator)))
 

@@ -1,10 +1,11 @@
 """A general prior of image corpora alone, on as many processes as torchrun starts (D12).
 
     torchrun --nproc-per-node 2 -m inpaint3d.stages.diffusion_training.pretrain CORPUS ... OUT [--config FILE]
-        [--prior DIR]
+        [--prior DIR] [--device cuda]
 
 A CORPUS is an image-corpus artifact; of several, every picture is drawn as often as any other. FILE holds parameters of
-the stage as YAML, DIR is a diffusion-prior artifact to go on from, with a fresh optimiser. The `parts` of a step are
+the stage as YAML, DIR is a diffusion-prior artifact to go on from, with a fresh optimiser. On GPUs each process has one
+of its own. The `parts` of a step are
 shared out over the processes, so that their number changes nothing of what is learnt but the order of sums. Stopped or
 killed, the same command goes on from OUT/checkpoint.safetensors. OUT/prior becomes a diffusion-prior artifact in half
 precision, for `inpaint3d run --prior OUT/prior`. OUT/held_out.png shows pictures of the corpora, which may not be ours
@@ -45,11 +46,12 @@ def main() -> None:
     parser.add_argument("--config", type=Path, help="parameters of diffusion-training, YAML")
     parser.add_argument("--prior", type=Path, help="diffusion-prior artifact to go on from")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    join_ranks()
+    device = join_ranks(options.device)
     try:
-        pretrain(options.corpus, options.out, _config(options.config), options.seed, options.prior)
+        pretrain(options.corpus, options.out, _config(options.config), options.seed, options.prior, device)
     except (Inpaint3dError, OSError) as error:
         failure = from_os_error(error) if isinstance(error, OSError) else error
         sys.stderr.write(f"pretrain: {failure.kind}: {failure}\n")
@@ -58,8 +60,10 @@ def main() -> None:
         leave_ranks()
 
 
-def pretrain(folders: Sequence[Path], out: Path, config: Config, seed: int, start: Path | None = None) -> None:
-    """Train, and on the first rank write the artifact.
+def pretrain(
+    folders: Sequence[Path], out: Path, config: Config, seed: int, start: Path | None = None, device: str = "cpu"
+) -> None:
+    """Train on a device, and on the first rank write the artifact.
 
     Raises ConfigurationError for folders that hold no corpus or prior and for parts that the ranks cannot share,
     BadInputError for corpora that have nothing to learn from.
@@ -78,11 +82,11 @@ def pretrain(folders: Sequence[Path], out: Path, config: Config, seed: int, star
         )
     work = out / f"rank-{rank()}"
     work.mkdir(parents=True, exist_ok=True)
-    ctx = Context(seed=seed, device="cpu", threads=1, work=work, emit=_say)
+    ctx = Context(seed=seed, device=device, threads=1, work=work, emit=_say)
     signal.signal(signal.SIGTERM, lambda *_: setattr(ctx, "stopping", True))
     pretrained = load_artifact(start, "diffusion-prior@1", DiffusionPrior) if start else None
     spec = pretrained.metadata.spec if pretrained else config.prior
-    lesson = lesson_of(config, spec, training, held_out)
+    lesson = lesson_of(config, spec, training, held_out, device=device)
     checkpoint = out / "checkpoint.safetensors"
     weights = load_pretrained(pretrained) if pretrained else None
     state = begin_or_resume(config, spec, weights, ctx, checkpoint)

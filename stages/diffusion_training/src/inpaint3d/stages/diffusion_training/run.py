@@ -42,7 +42,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
 
     training, held_out = known_pictures(posed, masks)
     learnt_too = corpus_pictures(corpus)
-    lesson = lesson_of(config, spec, training, held_out, learnt_too, mask_shapes(training))
+    lesson = lesson_of(config, spec, training, held_out, learnt_too, mask_shapes(training), ctx.device)
     start = load_pretrained(pretrained) if pretrained else None
     checkpoint = ctx.work / "checkpoint.safetensors"
     state = begin_or_resume(config, spec, start, ctx, checkpoint)

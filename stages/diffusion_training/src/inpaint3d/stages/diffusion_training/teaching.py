@@ -1,6 +1,7 @@
 """The lesson, the training loop and the exam: the same for a capture's prior and for one of a corpus alone."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.errors import ConfigurationError, NonFiniteError
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import PriorSpec
 from inpaint3d.diffusion.judging import fill_each_way, hole_psnr
@@ -27,14 +28,15 @@ from inpaint3d.diffusion.training import (
     train_step,
 )
 from inpaint3d.perception.lpips import enlarge, load
+from inpaint3d.scene.finite import NonFinite, find_non_finite
 from inpaint3d.scene.image_io import Mask
-from inpaint3d.stages.diffusion_training.ahead import MadeAhead
+from inpaint3d.stages.diffusion_training.ahead import make_ahead
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.pictures import Cropper, Picture
 
 CHECKPOINT_S = 20.0
-AHEAD = 3
-"""Steps whose pictures are decoded while others are learnt from."""
+MOST_LOST = 3
+"""Steps in a row that may be lost to numbers that are not finite."""
 EXAM_SEED = 2**31 - 1
 
 
@@ -55,14 +57,17 @@ def lesson_of(
     held_out: Sequence[Picture],
     corpus: Sequence[Picture] = (),
     shapes: Sequence[Mask] = (),
+    device: torch.device | str = "cpu",
 ) -> Lesson:
-    """shapes: the capture's own masks. Raises ConfigurationError where there are none and no other hole is wanted."""
+    """shapes: the capture's own masks. device: where the exam is held. Raises ConfigurationError where there are no
+    shapes and no other hole is wanted.
+    """
     if not shapes and config.masks.own == 1:
         raise ConfigurationError("masks.own is 1 but there are no masks with a usable shape; set another mix")
     cropper = Cropper(spec.size, config.crop_share, config.masks, shapes, config.whole_share, config.enlarged)
     rng = np.random.default_rng(EXAM_SEED)
     exam = cropper.batch([held_out[i % len(held_out)] for i in range(config.exam)], rng)
-    return Lesson(training, corpus, cropper, exam)
+    return Lesson(training, corpus, cropper, exam.to(device))
 
 
 def begin_or_resume(
@@ -70,7 +75,8 @@ def begin_or_resume(
 ) -> TrainingState:
     """The state that training starts with, or the one that it was stopped in."""
     bf16 = config.precision == "bf16" or (config.precision == "auto" and bf16_pays(ctx.device))
-    state = begin(spec, ctx.seed, start, bf16=bf16, channels_last=config.channels_last)
+    channels_last = config.channels_last or ctx.device != "cpu"
+    state = begin(spec, ctx.seed, start, bf16=bf16, channels_last=channels_last, device=ctx.device)
     if config.compiled:
         state.prior.network.compile()
     if load_checkpoint(checkpoint, state):
@@ -88,14 +94,17 @@ def train(
     peak = config.fine_tuning_rate if fine_tuning else config.learning_rate
     every = max(1, config.steps // config.curve_rows)
     saved = ctx.elapsed()[0]
-    steps = MadeAhead(
-        lambda step: _parts(lesson, config, ctx.seed, step), range(state.step, config.steps), threads=1, ahead=AHEAD
-    )
-    for losses in steps:
+    draw = partial(draw_batches, lesson, config, ctx.seed, own_parts(config.parts))
+    steps = make_ahead(draw, range(state.step, config.steps), ctx.device)
+    for batches in steps:
+        losses = [
+            partial(denoising_loss, batch=batch.to(ctx.device), generator=generator, t_range=config.t_range)
+            for batch, generator in zip(batches, _noise_generators(config, ctx, state.step), strict=True)
+        ]
         rate = rate_after_warm_up(peak, state.step, config.steps, config.warm_up)
         loss = train_step(state, *losses, learning_rate=rate, ema=config.ema)
         if not np.isfinite(loss):
-            ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
+            count_lost_step(state, ctx)
         if state.step % every == 0 or state.step == config.steps:
             state.close_row(_held_out_loss(state, config, lesson.exam))
             step, mean, held_out = state.curve[-1]
@@ -108,14 +117,38 @@ def train(
         ctx.progress(state.step, config.steps, "training the prior", loss=loss)
 
 
-def _parts(lesson: Lesson, config: Config, seed: int, step: int) -> list[Callable[[InpaintingPrior], Tensor]]:
-    """The losses of a step, one for each part of its batch that is this rank's. Pictures are decoded and cut here."""
-    losses: list[Callable[[InpaintingPrior], Tensor]] = []
-    for part in own_parts(config.parts):
-        rng, generator = step_generators(seed, step, part)
-        batch = lesson.cropper.batch(_draw_pictures(lesson, config, rng), rng)
-        losses.append(partial(denoising_loss, batch=batch, generator=generator, t_range=config.t_range))
-    return losses
+def draw_batches(lesson: Lesson, config: Config, seed: int, parts: Sequence[int], step: int) -> list[Batch]:
+    """The pictures of some parts of a step's batch, decoded and cut."""
+    batches: list[Batch] = []
+    for part in parts:
+        rng, _ = step_generators(seed, step, part)
+        batches.append(lesson.cropper.batch(_draw_pictures(lesson, config, rng), rng))
+    return batches
+
+
+def _noise_generators(config: Config, ctx: Context, step: int) -> list[torch.Generator]:
+    """What the noise of each part of a step that is this rank's is drawn from, on the device."""
+    return [step_generators(ctx.seed, step, part, ctx.device)[1] for part in own_parts(config.parts)]
+
+
+def count_lost_step(state: TrainingState, ctx: Context) -> None:
+    """A step that was not finite and moved nothing: counted, told, and from the third in a row on an error.
+
+    One alone may be an overflow of bfloat16. Raises NonFiniteError, which names step and tensors.
+    """
+    ctx.non_finite["training_loss"] = ctx.non_finite.get("training_loss", 0) + 1
+    gradients = {f"gradient of {n}": p.grad for n, p in state.prior.named_parameters() if p.grad is not None}
+    weights: dict[str, Tensor] = dict(state.prior.named_parameters())
+    found = [*_find_non_finite(weights), *_find_non_finite(gradients)]
+    where = f"step {state.step} of the prior's training was not finite: {', '.join(map(str, found[:3]))}"
+    lost = next((i for i, loss in enumerate(reversed(state.pending)) if math.isfinite(loss)), len(state.pending))
+    if lost >= MOST_LOST or _find_non_finite(weights):
+        raise NonFiniteError(f"{where}; {lost} steps in a row moved nothing, the last checkpoint is kept in {ctx.work}")
+    ctx.log(f"{where}; it moved nothing")
+
+
+def _find_non_finite(tensors: dict[str, Tensor]) -> list[NonFinite]:
+    return find_non_finite({name: t.detach().float().cpu().numpy() for name, t in tensors.items()})
 
 
 def _draw_pictures(lesson: Lesson, config: Config, rng: np.random.Generator) -> list[Picture]:
@@ -152,4 +185,4 @@ def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, floa
 @torch.no_grad()
 def _lpips(filled: Tensor, truth: Tensor) -> float:
     pairs = zip(enlarge(filled).split(1), enlarge(truth).split(1), strict=True)
-    return float(np.mean([float(load("vgg").difference(a, b)) for a, b in pairs]))
+    return float(np.mean([float(load("vgg", truth.device).difference(a, b)) for a, b in pairs]))

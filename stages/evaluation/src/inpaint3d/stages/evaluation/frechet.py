@@ -19,7 +19,7 @@ def frechet_distance(a: Features, b: Features) -> float:
             raise ValueError(f"a Frechet distance needs at least 2 vectors in each set; the {name} has {len(rows)}")
     centred_a, centred_b = (_centre(rows) for rows in (a, b))
     between = np.sum((a.mean(0) - b.mean(0)) ** 2)
-    root_trace = np.linalg.svd(centred_a @ centred_b.T, compute_uv=False).sum()
+    root_trace = np.linalg.svd(_products(centred_a, centred_b), compute_uv=False).sum()
     return float(max(0.0, between + np.sum(centred_a**2) + np.sum(centred_b**2) - 2.0 * root_trace))
 
 
@@ -34,13 +34,18 @@ def kernel_distance(a: Features, b: Features) -> float:
         raise ValueError(f"a kernel distance needs at least 2 vectors in each set; there are {n} and {m}")
 
     def kernel(x: Features, y: Features) -> NDArray[np.float64]:
-        return (x @ y.T / x.shape[1] + 1.0) ** 3
+        return (_products(x, y) / x.shape[1] + 1.0) ** 3
 
     within_a, within_b = kernel(a, a), kernel(b, b)
     # a vector paired with itself is what would make the estimate biased
     mean_a = (within_a.sum() - np.trace(within_a)) / (n * (n - 1))
     mean_b = (within_b.sum() - np.trace(within_b)) / (m * (m - 1))
     return float(mean_a + mean_b - 2.0 * kernel(a, b).mean())
+
+
+def _products(x: Features, y: Features) -> NDArray[np.float64]:
+    """X y^T, row by row: a matrix product is shared out over threads, and each share rounds by itself."""
+    return np.array([[np.sum(a * b) for b in y] for a in x])
 
 
 def _centre(rows: Features) -> Features:

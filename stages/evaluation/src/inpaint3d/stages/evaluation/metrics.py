@@ -1,12 +1,14 @@
 """PSNR and SSIM of sRGB-encoded pictures in [0, 1], over all pixels or over a mask."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-PSNR_CEILING_DB = 100.0
+LEAST_SQUARE = 1e-10  # 100 dB
 WINDOW = 11
 SSIM_RADIUS = WINDOW // 2
 
@@ -15,14 +17,16 @@ def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
     """Peak signal-to-noise ratio, dB, over `region` ([h, w]; None: everywhere) and the three channels.
 
     Equal pictures would give infinity, which no table holds: the value stops at 100 dB (a mean square of
-    1e-10). Raises ValueError where the region is empty or the shapes differ.
+    1e-10). NaN where a value is not finite. Raises ValueError where the region is empty or the shapes differ.
     """
     squared = np.square(_check(image, truth).astype(np.float64) - truth)
     if region is not None:
         squared = squared[region]
     if squared.size == 0:
         raise ValueError("PSNR over no pixel: the region is empty")
-    return float(min(PSNR_CEILING_DB, -10.0 * np.log10(max(squared.mean(), 1e-10))))
+    mean = float(squared.mean())
+    # min and max of Python take a NaN for the larger or the smaller, as it stands first or second.
+    return -10.0 * math.log10(max(mean, LEAST_SQUARE)) if math.isfinite(mean) else math.nan
 
 
 def ssim_map(image: Image, truth: Image) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
 
 from inpaint3d.contracts.models.artifacts import Metric, Protocol
@@ -56,6 +57,11 @@ class Bench:
     non_finite: dict[str, int] = field(default_factory=dict)
     renders: dict[tuple[str, str], Maps] = field(default_factory=dict)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the fields lie, and where networks look at pictures."""
+        return self.methods[0].field.device
+
     def render_full_view(self, method: Method, photo: Photo) -> Maps:
         """The whole view, rendered once."""
         key = (method.label, photo.name)
@@ -94,7 +100,7 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         pictures[MEAN_SURROUND] = mean_surround(first, photo.hole[outer.slices], ring)
         truth, hole = photo.image[box.slices], photo.hole[box.slices]
         cut = {n: np.ascontiguousarray(p[box.relative_to(outer).slices]) for n, p in pictures.items()}
-        for label, figures in compare_pictures(cut, truth, perceptual=config.perceptual).items():
+        for label, figures in compare_pictures(cut, truth, perceptual=config.perceptual, device=bench.device).items():
             bench.scores.add(BOX, label, photo.name, figures)
         for label, crop in cut.items():
             crops.setdefault(label, []).append(crop)
@@ -105,7 +111,7 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         truths.append(truth)
     if not truths:
         return []
-    sets = set_distances(crops, truths) if config.perceptual and len(truths) >= 2 else []
+    sets = set_distances(crops, truths, bench.device) if config.perceptual and len(truths) >= 2 else []
     return [
         Protocol(name=BOX, description=_box_text(bench, len(truths)), metrics=(*bench.scores.means(BOX), *sets)),
         Protocol(name=HOLE, description=_hole_text(len(truths)), metrics=tuple(bench.scores.means(HOLE))),
@@ -129,7 +135,9 @@ def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: 
         )
         # Unknown pixels are made equal, so that windows and features that touch them see no difference there.
         shown = {n: np.where(photo.known[..., None], p, photo.image).astype(np.float32) for n, p in pictures.items()}
-        scores = compare_pictures(shown, photo.image, perceptual=bench.config.perceptual, region=photo.known)
+        scores = compare_pictures(
+            shown, photo.image, perceptual=bench.config.perceptual, region=photo.known, device=bench.device
+        )
         for label, figures in scores.items():
             bench.scores.add(HELD_OUT, label, photo.name, figures)
         done += 1
@@ -227,9 +235,7 @@ def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         if not pairs or box is None or not bench.check_finite(renders, photo.name):
             continue
         crops = {label: np.ascontiguousarray(maps["rgb"][box.slices]) for label, maps in renders.items()}
-        rows = {
-            f"{a} | {b}": _mean_difference(crops[a], crops[b], photo.hole[box.slices], bench.config) for a, b in pairs
-        }
+        rows = {f"{a} | {b}": _mean_difference(crops[a], crops[b], photo.hole[box.slices], bench) for a, b in pairs}
         rows[EACH_PAIR] = {n: float(np.mean([f[n] for f in rows.values()])) for n in next(iter(rows.values()))}
         for label, figures in rows.items():
             bench.scores.add(VARIETY, label, photo.name, figures)
@@ -247,32 +253,39 @@ def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     ]
 
 
-def _mean_difference(one: Image, other: Image, hole: np.ndarray, config: Config) -> dict[str, float]:
+def _mean_difference(one: Image, other: Image, hole: np.ndarray, bench: Bench) -> dict[str, float]:
     figures = {"colour_between": float(np.abs(one - other)[hole].mean())}
-    if config.perceptual:
-        figures["lpips_between"] = lpips.load("vgg").distance(one, other)
+    if bench.config.perceptual:
+        figures["lpips_between"] = lpips.load("vgg", bench.device).distance(one, other)
     return figures
 
 
 def compare_pictures(
-    pictures: Mapping[str, Image], truth: Image, *, perceptual: bool, region: np.ndarray | None = None
+    pictures: Mapping[str, Image],
+    truth: Image,
+    *,
+    perceptual: bool,
+    region: np.ndarray | None = None,
+    device: torch.device | str = "cpu",
 ) -> dict[str, dict[str, float]]:
-    """PSNR, SSIM and (where wanted) both LPIPS of each picture against one truth, by label."""
+    """PSNR, SSIM and (where wanted) both LPIPS of each picture against one truth, by label; device: of the networks."""
     figures = {n: {"psnr": psnr(p, truth, region), "ssim": ssim(p, truth, region)} for n, p in pictures.items()}
     if perceptual:
         for network in ("vgg", "alex"):
-            distances = lpips.load(network).distances(list(pictures.values()), truth)
+            distances = lpips.load(network, device).distances(list(pictures.values()), truth)
             for label, distance in zip(pictures, distances, strict=True):
                 figures[label][f"lpips_{network}"] = distance
     return figures
 
 
-def set_distances(crops: dict[str, list[Image]], truths: list[Image]) -> list[Metric]:
+def set_distances(
+    crops: dict[str, list[Image]], truths: list[Image], device: torch.device | str = "cpu"
+) -> list[Metric]:
     """FD-lite0 and KID-lite0 of each method's crops to the truth's."""
-    real = lite0_features(truths)
+    real = lite0_features(truths, device)
     out: list[Metric] = []
     for label, pictures in crops.items():
-        made = lite0_features(pictures)
+        made = lite0_features(pictures, device)
         out.append(metric(label, "fd_lite0", frechet_distance(made, real), len(truths)))
         out.append(metric(label, "kid_lite0", kernel_distance(made, real), len(truths)))
     return out

@@ -2,12 +2,12 @@
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.report.charts import Line, line_chart
-from inpaint3d.report.page import RUN_MARKER, render
+from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
 from inpaint3d.stages.evaluation.scores import KINDS, find_best
 
 STOPS = (0.25, 0.5, 0.75)
@@ -42,10 +42,12 @@ class Report:
     curves: Sequence[Curve]
     notes: Sequence[str]
     non_finite: dict[str, int]
+    health: dict[str, dict[str, float]] = field(default_factory=dict[str, dict[str, float]])
+    """Field -> counters of its fit."""
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Render the page; pictures are embedded, and one line marks where the run's times go."""
+    """Render the page; pictures are embedded, and two lines mark where the run's doubts and times go."""
     page = render(
         "inpaint3d.stages.evaluation",
         "report.html.j2",
@@ -57,6 +59,7 @@ def write_report(path: Path, report: Report) -> None:
         stop_heads=["field", *(f"at {share:.0%} of the steps" for share in STOPS), "at the end"],
         stopping=[row for curve in report.curves if (row := cost_of_stopping_early(curve)) is not None],
         embedded=_embed,
+        doubt_marker=DOUBT_MARKER,
         run_marker=RUN_MARKER,
     )
     path.write_text(page, encoding="utf-8")

@@ -102,6 +102,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         curves=_curves(methods),
         notes=list_weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths)),
         non_finite=bench.non_finite,
+        health={m.label: m.artifact.metadata.health for m in methods if m.artifact.metadata.health},
     )
     write_report(folder / "report.html", report)
     outputs.write(

@@ -97,7 +97,7 @@ def find_best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
 
 
 def round_figure(value: float) -> float:
-    """Six decimals: sums differ beyond them with the number of threads."""
+    """Six decimals, which is more than any figure means."""
     return round(float(value), 6)
 
 

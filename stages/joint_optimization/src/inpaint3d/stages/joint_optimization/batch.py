@@ -75,7 +75,7 @@ class RayBank:
         self._masked = Pixels.of(cameras, [v.image for v in views], hidden, device) if masked else None
         self._filled_share = filled_share if filled_share is not None else self._share_of(self._filled)
         self._cameras = CameraStack.of(cameras, device)
-        self._sizes = torch.tensor([[c.width, c.height] for c in cameras])
+        self._sizes = torch.tensor([[c.width, c.height] for c in cameras], device=device)
 
     def draw(self, count: int, *, patches: int, patch_size: int, generator: torch.Generator, sighted: int = 0) -> Batch:
         """`count` random rays, `sighted` to sparse points and as many to made-up surfaces, `patches` squares of
@@ -98,16 +98,20 @@ class RayBank:
             parts.append(self._patches(patches, patch_size, generator))
         return Batch(join_rays(parts), target, distance, (patches, patch_size, patch_size))
 
+    def look(self, count: int, generator: torch.Generator) -> Rays:
+        """`count` random rays of known pixels."""
+        return self._known.draw(count, generator)[0]
+
     def _share_of(self, some: Pixels | None) -> float:
         """Share of some pixels among those and the known ones."""
         return len(some) / (len(some) + len(self._known)) if some else 0.0
 
     def _patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
-        view = torch.randint(len(self._sizes), (count,), generator=generator)
+        drawn_on, device = generator.device, self._sizes.device
+        view = torch.randint(len(self._sizes), (count,), generator=generator, device=drawn_on).to(device)
         room = (self._sizes[view] - size).clamp(min=0) + 1
-        corner = (torch.rand(count, 2, generator=generator) * room).floor()
-        steps = torch.arange(size) + 0.5
+        corner = (torch.rand(count, 2, generator=generator, device=drawn_on).to(device) * room).floor()
+        steps = torch.arange(size, device=device) + 0.5
         square = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1)
         xy = (corner[:, None, None] + square).reshape(-1, 2)
-        device = self._cameras.pinhole.device
-        return self._cameras.rays(view.repeat_interleave(size * size).to(device), xy.to(device))
+        return self._cameras.rays(view.repeat_interleave(size * size), xy)

@@ -8,7 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.health import find_non_finite
 from inpaint3d.radiance.losses import distortion_loss, interlevel_loss
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import Rendering, render
@@ -57,7 +59,7 @@ def distil(
     rays = camera_rays(view.camera, window.pixels(), device=field.device)
     hole = torch.from_numpy(window.sample(view.hole)).to(field.device)
     inside = Rays(rays.origins[hole], rays.directions[hole])
-    behind = torch.rand(3, generator=generator).to(field.device)
+    behind = torch.rand(3, generator=generator, device=generator.device).to(field.device)
     look = Look(specular_scale, behind)
     rgb, interlevel, distortion = _with_graph(field, inside, look, block, generator)
     patch = torch.zeros(*hole.shape, 3, device=field.device)
@@ -67,6 +69,8 @@ def distil(
     patch[hole] = rgb.detach()
     gradient, t = guide.gradient(patch, hole, window, timesteps, generator)
     inner = gradient[hole]
+    if found := find_non_finite({"its gradient": inner}):
+        raise NonFiniteError(f"the guide of view {view.name} answered what is not finite: {found[0]}, at t = {t:.3f}")
     return Distilled(
         # The gradient is a constant: the surrogate's derivative by the patch is exactly it.
         surrogate=(rgb * inner).sum(),
@@ -110,12 +114,12 @@ def _with_graph(
     to backpropagate: a third more time, and the memory of one block.
     """
     count = len(rays.origins)
-    seeds = torch.randint(2**62, (-(-count // block),), generator=generator).tolist()
+    seeds = torch.randint(2**62, (-(-count // block),), generator=generator, device=generator.device).tolist()
 
     def part(start: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
         some = rays[start : start + block]
         # Seeded here, so that the second rendering jitters its samples as the first did.
-        jitter = torch.Generator().manual_seed(seed)
+        jitter = torch.Generator(generator.device).manual_seed(seed)
         seen = _render(field, some, look, jitter)
         share = len(some.origins) / count
         return seen.rgb, share * interlevel_loss(seen), share * distortion_loss(seen)

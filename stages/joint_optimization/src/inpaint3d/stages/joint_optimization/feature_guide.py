@@ -43,7 +43,7 @@ class FeatureGuide(Stateless):
         timesteps: Timesteps,  # noqa: ARG002 - nothing is noised here
         generator: torch.Generator,
     ) -> tuple[Patch, float]:
-        rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))
+        rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator, device=generator.device)))
         others = [i for i in self._shown if i != window.view] or self._shown
         known = join_cells([self._cut_reference(others[int(rng.integers(len(others)))], window, patch, rng)
                         for _ in range(self._reference_windows)])  # fmt: skip

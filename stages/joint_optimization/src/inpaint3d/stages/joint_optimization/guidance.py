@@ -72,9 +72,12 @@ def draw_query(
     """
     if timesteps is None:
         raise ValueError("a prior is asked at a diffusion time, and the estimator has none")
-    t = timesteps.low + (timesteps.high - timesteps.low) * torch.rand((), generator=generator)
+    drawn_on = generator.device
+    t = timesteps.low + (timesteps.high - timesteps.low) * torch.rand((), generator=generator, device=drawn_on)
     x = (2.0 * patch.detach() - 1.0).permute(2, 0, 1)[None]
-    eps, noise_fill = (torch.randn(1, *shape, generator=generator).to(x) for shape in (latent_shape, x.shape[1:]))
+    eps, noise_fill = (
+        torch.randn(1, *shape, generator=generator, device=drawn_on).to(x) for shape in (latent_shape, x.shape[1:])
+    )
     return PriorQuery(x, hole[None, None].to(x), t.reshape(1).to(x), eps, noise_fill)
 
 
@@ -185,7 +188,7 @@ class PictureGuide(Stateless):
         rendered = patch.detach().requires_grad_()
         # Apart: what is wanted needs no graph, which would cost as much backwards again.
         made = _batch(torch.where(hole[..., None], rendered, picture))
-        (gradient,) = torch.autograd.grad(load("vgg").difference(made, _batch(picture)).sum(), rendered)
+        (gradient,) = torch.autograd.grad(load("vgg", made.device).difference(made, _batch(picture)).sum(), rendered)
         return gradient, float("nan")
 
 

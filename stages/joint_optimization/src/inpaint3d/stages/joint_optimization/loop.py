@@ -7,16 +7,19 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from inpaint3d.contracts.errors import BadInputError, InterruptedRun
+from inpaint3d.contracts.errors import BadInputError, InterruptedRun, NonFiniteError
 from inpaint3d.contracts.kit.checkpoints import find_checkpoint
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.diffusion.training import step_generators
-from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
+from inpaint3d.radiance.checkpoints import go_back, load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.health import Health, check_finite
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.optim import Adam, scheduled_rate
+from inpaint3d.radiance.tracing import NamedCameras, trace_step
 from inpaint3d.radiance.training import descend, proposal_anneal
 from inpaint3d.scene.masked_views import MaskedScene, MaskedView, find_fillable
 from inpaint3d.scene.windows import Window, draw_window
@@ -36,6 +39,7 @@ from inpaint3d.stages.joint_optimization.schedule import (
 )
 
 CHECKPOINT_INTERVAL_S = 30.0
+LOOKED_AT = 32  # rays that the counters of health are taken over
 GUIDE = "guide."
 
 
@@ -65,6 +69,11 @@ class Problem:
         return RayBank(self.scene.train, device, filled=self.filled, filled_share=share, sight_lines=sight_lines)
 
     @property
+    def cameras(self) -> NamedCameras:
+        """Of the training views, by name."""
+        return [(view.name, view.camera) for view in self.scene.train]
+
+    @property
     def guided(self) -> tuple[Guide, Guided] | None:
         """The guide and the parameters of its estimator; None where nothing pulls the hole."""
         estimator = self.config.estimator
@@ -89,7 +98,7 @@ class Problem:
         how its ranks share out, never shows.
         """
         config, weights = self.config, self.config.loss_weights
-        rng, generator = step_generators(self.seed * ranks.world_size + ranks.rank, step)
+        rng, generator = step_generators(self.seed * ranks.world_size + ranks.rank, step, device=self.field.device)
         distilled, weight, figures = self._distil(step, rng, generator)
         batch = self.bank.draw(
             config.rays // ranks.world_size,
@@ -118,16 +127,22 @@ class Problem:
         span = estimator.span_at(since, total)
         specular = estimator.specular_at(step, steps) if self.diffuse_start else 1.0
         window = choose_window(self.to_fill, guide, estimator, since=since, span=span, rng=rng)
-        distilled = distil(
-            self.field,
-            guide,
-            self.to_fill[window.view],
-            window,
-            timesteps=timesteps,
-            specular_scale=specular,
-            block=self.config.block,
-            generator=generator,
-        )
+        view = self.to_fill[window.view]
+        try:
+            distilled = distil(
+                self.field,
+                guide,
+                view,
+                window,
+                timesteps=timesteps,
+                specular_scale=specular,
+                block=self.config.block,
+                generator=generator,
+            )
+        except (BadInputError, NonFiniteError) as error:
+            side = window.spacing * window.size
+            where = f"step {step}, view {view.name}, window of {side:.0f} px at ({window.x:.0f}, {window.y:.0f})"
+            raise type(error)(f"{where}: {error}") from error
         return distilled, weight, describe_push(distilled, timesteps, weight, span, specular)
 
 
@@ -154,44 +169,74 @@ def optimise(problem: Problem, ctx: Context, curves: Curves, ranks: Ranks) -> No
         field, config.optimizer, config.loss_weights, before_step=lambda: ranks.average(field.parameters())
     )
     # A checkpoint holds a stream; here every step has its own.
-    unused = torch.Generator()
+    unused, health = torch.Generator(), Health()
     checkpoint = ctx.work / "checkpoint.safetensors"
     if ranks.rank == 0 and (whole := find_checkpoint(checkpoint)) is not None:
         whole.replace(checkpoint)
     ranks.broadcast_file(checkpoint)
-    if (kept := load_checkpoint(checkpoint, field, optimizer, unused)) is not None:
+
+    def save() -> None:
+        learnt = {} if problem.guide is None else problem.guide.state()
+        extra = curves.tensors() | health.tensors() | {GUIDE + name: tensor for name, tensor in learnt.items()}
+        save_checkpoint(checkpoint, field, optimizer, unused, extra)
+
+    def restore(kept: dict[str, Tensor]) -> None:
         curves.restore(kept)
+        health.restore(kept)
         if problem.guide is not None:
             problem.guide.restore({n.removeprefix(GUIDE): t for n, t in kept.items() if n.startswith(GUIDE)})
+
+    if (kept := load_checkpoint(checkpoint, field, optimizer, unused)) is not None:
+        restore(kept)
+    elif ranks.rank == 0:
+        save()  # there is something to go back to from the first step on
+    # What one rank alone meets it cannot go back from by itself: the others are steps ahead.
+    rollbacks = config.optimizer.rollbacks if ranks.world_size == 1 else 0
     saved = time.monotonic()
-    distill_every = problem.guided[1].distill_every if problem.guided else 1
-    rays_a_step = config.rays + ranks.world_size * config.depth_patches * config.depth_patch_size**2
     while (step := optimizer.steps) < config.steps:
         stopped: InterruptedRun | None = None
         try:
             ctx.progress(step, config.steps, "optimising")
         except InterruptedRun as interruption:
             stopped = interruption
-        stop, save = ranks.agree(stopped is not None, time.monotonic() - saved > CHECKPOINT_INTERVAL_S)
-        if (stop or save) and ranks.rank == 0:
-            learnt = {} if problem.guide is None else problem.guide.state()
-            extra = curves.tensors() | {GUIDE + name: tensor for name, tensor in learnt.items()}
-            save_checkpoint(checkpoint, field, optimizer, unused, extra)
-            saved = time.monotonic()
-        if stop:
-            raise stopped or InterruptedRun("the first rank was stopped")
-        terms, figures = problem.terms(step, ranks)
-        last = step + 1 == config.steps
-        due = terms_due(step, problem.since(step), config.terms_every, distill_every)
-        norms = gradient_norms(field, terms | decay_term(field, config)) if last or due else None
-        losses = descend(field, optimizer, terms, problem.rate(step), ctx.non_finite)
-        if norms is not None:
-            curves.add_terms(step + 1, losses, norms, **figures)
-        if ranks.rank == 0 and (last or (step + 1) % config.score_every == 0):
-            psnr = held_out.psnr(field, config.block)
-            loss = sum(value for name, value in losses.items() if name != "distillation")
-            curves.add_point(step + 1, (step + 1) * rays_a_step, loss, psnr)
-            ctx.record("learning_curve", step=step + 1, loss=loss, **({} if psnr is None else {"psnr": psnr}))
+        stop, due = ranks.agree(stopped is not None, time.monotonic() - saved > CHECKPOINT_INTERVAL_S)
+        try:
+            if (stop or due) and ranks.rank == 0:
+                save()
+                saved = time.monotonic()
+            if stop:
+                raise stopped or InterruptedRun("the first rank was stopped")
+            _take_step(problem, ctx, curves, ranks, optimizer, held_out, health)
+        except NonFiniteError as error:
+            found = trace_step(field, lambda: problem.terms(step, ranks)[0], problem.cameras)
+            told = NonFiniteError(f"{error}; {found}")
+            restore(go_back(checkpoint, field, optimizer, unused, told, rollbacks))
+            ctx.log(f"{told}; the optimisation goes on from step {optimizer.steps} with half the learning rate")
+    ctx.health |= health.counters(optimizer)
+
+
+def _take_step(
+    problem: Problem, ctx: Context, curves: Curves, ranks: Ranks, optimizer: Adam, held_out: HeldOut, health: Health
+) -> None:
+    """One step, its rows of the curves, and after the last one a look at every weight."""
+    field, config, step = problem.field, problem.config, optimizer.steps
+    distill_every = problem.guided[1].distill_every if problem.guided else 1
+    rays_a_step = config.rays + ranks.world_size * config.depth_patches * config.depth_patch_size**2
+    terms, figures = problem.terms(step, ranks)
+    last = step + 1 == config.steps
+    due = terms_due(step, problem.since(step), config.terms_every, distill_every)
+    norms = gradient_norms(field, terms | decay_term(field, config)) if last or due else None
+    losses = descend(field, optimizer, terms, problem.rate(step), ctx.non_finite)
+    if last:
+        check_finite(field, optimizer)
+    if norms is not None:
+        curves.add_terms(step + 1, losses, norms, **figures)
+    if ranks.rank == 0 and (last or (step + 1) % config.score_every == 0):
+        psnr = held_out.psnr(field, config.block)
+        loss = sum(value for name, value in losses.items() if name != "distillation")
+        curves.add_point(step + 1, (step + 1) * rays_a_step, loss, psnr)
+        ctx.record("learning_curve", step=step + 1, loss=loss, **({} if psnr is None else {"psnr": psnr}))
+        health.look(field, problem.bank.look(LOOKED_AT, torch.Generator().manual_seed(step)))
 
 
 def choose_window(
@@ -212,6 +257,11 @@ def choose_window(
     )
     if window is None:
         raise BadInputError(f"view {view.name} has no hole to fill; re-run mask-authoring")
+    if estimator.needs_surround and not window.sample(view.known).any():
+        raise BadInputError(
+            f"the hole of view {view.name} fills every window of {window.spacing * window.size:.0f} px that shows it, "
+            "so that nothing known tells what belongs into it; author a smaller mask, or let the windows be larger"
+        )
     return window
 
 

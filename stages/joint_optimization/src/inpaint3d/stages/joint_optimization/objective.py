@@ -48,7 +48,7 @@ def step_terms(
     known, total = len(batch.target), len(batch.rays.origins)
     background = batch.target.new_full((total, 3), BACKGROUND)
     if generator is not None:
-        background[:known] = torch.rand(known, 3, generator=generator).to(batch.target)
+        background[:known] = torch.rand(known, 3, generator=generator, device=generator.device).to(batch.target)
     seen = render(
         field,
         batch.rays,

@@ -54,6 +54,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         held_out_psnr=curves.last_psnr,
         decisions=reasons,
         non_finite=ctx.non_finite,
+        health=ctx.health,
     )
     outputs.write("radiance-field", metadata)
 

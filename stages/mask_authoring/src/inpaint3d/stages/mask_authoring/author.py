@@ -35,6 +35,7 @@ VolumeRequest = SphereRequest | BoxRequest | OutpaintRequest
 Request = VolumeRequest | ObjectRequest | ScribbleRequest | ImportedRequest
 
 CLOSING = 0.01  # of the shorter side
+MOST_OF_VIEW = 0.9  # an object that fills more of its view is the room
 SPECKS = 0.02  # parts of an object's mask below this share of its largest are errors of depth
 HOLES = 0.05  # enclosed gaps up to this share of the mask are filled
 # Share of a pixel's neighbourhood that must be masked where a mask is enlarged. Under a half, since a rim of the object
@@ -94,6 +95,7 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
             f"mask request: nothing was found at the points in view {request.view!r}; give more points on the object, "
             "points beside it under `background`, or a box round it"
         )
+    check_room_around(found, request.view)
     how = Carrying(config.depth_tolerance, config.margin, config.refine_rounds, ctx.seed)
     carried = carry(small, source, found, how, refine=config.refine, progress=ctx.progress)
     hull = carve(small, carried, voxels=config.voxels, agreement=config.agreement, tolerance=config.depth_tolerance)
@@ -112,6 +114,15 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
             _finish(remove_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
         ],
     )
+
+
+def check_room_around(found: Bools, view: str) -> None:
+    """ConfigurationError where what was found fills the view: an object has something around it."""
+    if found.mean() > MOST_OF_VIEW:
+        raise ConfigurationError(
+            f"mask request: what was found at the points fills {found.mean():.0%} of view {view!r}, so that nothing is "
+            "left around it; give points beside the object under `background`, or a box round it"
+        )
 
 
 def author_scribble(request: ScribbleRequest, scene: Scene, dilate: float, config: Config, ctx: Context) -> Authored:

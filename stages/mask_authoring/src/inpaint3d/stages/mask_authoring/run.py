@@ -13,6 +13,7 @@ from inpaint3d.contracts.models.artifacts import (
 )
 from inpaint3d.contracts.models.artifacts.masks import ImportedRequest
 from inpaint3d.scene.capture_io import View
+from inpaint3d.scene.plausibility import doubt_masks
 from inpaint3d.stages.mask_authoring.author import Scene, author
 from inpaint3d.stages.mask_authoring.authored import Authored, write_mask_set
 from inpaint3d.stages.mask_authoring.config import Config
@@ -39,6 +40,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     agreement = (
         None if authored.primitives else measure_consistency(depth_views, authored.masks, config.depth_tolerance)
     )
+    for doubt in doubt_masks(authored.mean_share, agreement, outside=authored.origin == "outpaint"):
+        ctx.doubt(doubt)
     names, truth_names = [v.name for v in views], [v.name for v in unseen]
     folder = outputs.folder("mask-set")
     outputs.write("mask-set", write_mask_set(folder, authored, names, truth_names, agreement))

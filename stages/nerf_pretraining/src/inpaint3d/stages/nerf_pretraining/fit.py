@@ -2,21 +2,22 @@
 
 import math
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from inpaint3d.contracts.errors import InterruptedRun
+from inpaint3d.contracts.errors import InterruptedRun, NonFiniteError
 from inpaint3d.contracts.kit.context import Context
-from inpaint3d.radiance.checkpoints import load_checkpoint, save_checkpoint
+from inpaint3d.radiance.checkpoints import go_back, load_checkpoint, save_checkpoint
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.health import Health
 from inpaint3d.radiance.held_out import HeldOut
 from inpaint3d.radiance.line_of_sight import SightLines, line_of_sight_loss
 from inpaint3d.radiance.optim import Adam, scheduled_rate
 from inpaint3d.radiance.rays import join_rays
 from inpaint3d.radiance.rendering import render
+from inpaint3d.radiance.tracing import NamedCameras, trace_step
 from inpaint3d.radiance.training import (
     Pixels,
     descend,
@@ -28,44 +29,71 @@ from inpaint3d.radiance.training import (
 from inpaint3d.stages.nerf_pretraining.config import Config
 
 CHECKPOINT = "checkpoint.safetensors"
+LOOKED_AT = 32  # rays that the counters of health are taken over
 
 CurveRow = list[float]
 """Step, rays so far, mean reconstruction loss since the row before, held-out PSNR in dB (NaN: no held-out view)."""
 
 
 class Known(NamedTuple):
-    """What a field is fitted to: pixels of the training views, and sparse points as these saw them."""
+    """What a field is fitted to: pixels of the training views, and sparse points as these saw them.
+
+    cameras: those of the training views, by name, so that a fault can be traced to one.
+    """
 
     pixels: Pixels
     sight_lines: SightLines | None = None
+    cameras: NamedCameras = ()
 
 
 def fit(field: RadianceField, known: Known, held_out: HeldOut, config: Config, ctx: Context) -> list[CurveRow]:
-    """Fit the field to what is known and return the learning curve; goes on exactly from a checkpoint in `ctx.work`."""
+    """Fit the field to what is known and return the learning curve; goes on exactly from a checkpoint in `ctx.work`.
+
+    A step that is not finite is traced to where it began, and the fit goes back as often as the parameters allow.
+    """
     optimizer = Adam.of(field, config.optimizer, config.loss_weights)
-    generator = torch.Generator().manual_seed(ctx.seed)
-    tally = Tally()
+    generator = torch.Generator(field.device).manual_seed(ctx.seed)
+    tally, health = Tally(), Health()
     path = ctx.work / CHECKPOINT
-    if (kept := load_checkpoint(path, field, optimizer, generator)) is not None:
+
+    def save() -> None:
+        save_checkpoint(path, field, optimizer, generator, tally.tensors() | health.tensors())
+
+    def restore(kept: dict[str, Tensor]) -> None:
         tally.restore(kept)
+        health.restore(kept)
+
+    if (kept := load_checkpoint(path, field, optimizer, generator)) is None:
+        save()  # there is something to go back to from the first step on
+    else:
+        restore(kept)
     saved = time.monotonic()
     while (step := optimizer.steps) < config.steps:
         try:
             ctx.progress(step, config.steps, "fitting", **tally.latest)
         except InterruptedRun:
-            _save(path, field, optimizer, generator, tally)
+            save()
             raise
-        values, rays = one_step(field, known, optimizer, generator, config, ctx.non_finite)
-        tally.add(values["reconstruction"], rays)
-        done = step + 1
-        if done % config.score_every == 0 or done == config.steps:
-            score = held_out.psnr(field, config.block)
-            tally.close(done, math.nan if score is None else score)
-            ctx.record("learning_curve", **tally.latest)
-        if time.monotonic() - saved > config.checkpoint_every_s:
-            _save(path, field, optimizer, generator, tally)
-            saved = time.monotonic()
-    _save(path, field, optimizer, generator, tally)
+        drawn = generator.get_state()
+        try:
+            values, rays = one_step(field, known, optimizer, generator, config, ctx.non_finite)
+            tally.add(values["reconstruction"], rays)
+            done = step + 1
+            if done % config.score_every == 0 or done == config.steps:
+                score = held_out.psnr(field, config.block)
+                tally.close(done, math.nan if score is None else score)
+                ctx.record("learning_curve", **tally.latest)
+                health.look(field, known.pixels.draw(LOOKED_AT, torch.Generator().manual_seed(step))[0])
+            if done == config.steps or time.monotonic() - saved > config.checkpoint_every_s:
+                save()
+                saved = time.monotonic()
+        except NonFiniteError as error:
+            generator.set_state(drawn)
+            found = trace_step(field, lambda: step_terms(field, known, step, generator, config)[0], known.cameras)
+            told = NonFiniteError(f"{error}; {found}")
+            restore(go_back(path, field, optimizer, generator, told, config.optimizer.rollbacks))
+            ctx.log(f"{told}; the fit goes on from step {optimizer.steps} with half the learning rate")
+    ctx.health |= health.counters(optimizer)
     return tally.curve
 
 
@@ -78,7 +106,16 @@ def one_step(
     non_finite: dict[str, int],
 ) -> tuple[dict[str, float], int]:
     """One step of the fit: the value of each loss term, and how many rays it took."""
-    step, how, weights = optimizer.steps, config.optimizer, config.loss_weights
+    terms, count = step_terms(field, known, optimizer.steps, generator, config)
+    rate = scheduled_rate(optimizer.steps, config.optimizer, config.steps)
+    return descend(field, optimizer, terms, rate, non_finite), count
+
+
+def step_terms(
+    field: RadianceField, known: Known, step: int, generator: torch.Generator, config: Config
+) -> tuple[dict[str, Tensor], int]:
+    """The weighted terms of a step, and how many rays it takes."""
+    how, weights = config.optimizer, config.loss_weights
     count = rays_at(step, first=min(config.first_rays, config.rays), last=config.rays, ramp=config.ramp_steps)
     rays, target = known.pixels.draw(count, generator)
     toward = None
@@ -86,7 +123,7 @@ def one_step(
         toward = known.sight_lines.draw(config.line_of_sight_rays, generator)
         rays = join_rays([rays, toward.rays])
     # Random background: a field that stays transparent cannot predict it, so that what the photos show becomes opaque.
-    background = torch.rand(len(rays.origins), 3, generator=generator).to(target)
+    background = torch.rand(len(rays.origins), 3, generator=generator, device=generator.device).to(target)
     anneal = proposal_anneal(step, how.proposal_anneal_steps) if how.proposal_anneal_steps else 1.0
     rendering = render(
         field, rays, generator=generator, background=background, anneal=anneal, near_gradient=how.near_gradient
@@ -99,8 +136,7 @@ def one_step(
         terms["line_of_sight"] = weights.line_of_sight * line_of_sight_loss(
             rendering, slice(count, None), toward.distance
         )
-    rate = scheduled_rate(step, how, config.steps)
-    return descend(field, optimizer, terms, rate, non_finite), count
+    return terms, count
 
 
 class Tally:
@@ -134,7 +170,3 @@ class Tally:
         self.curve = [[int(step), int(rays), *rest] for step, rays, *rest in tensors["curve"].tolist()]
         rays, steps, self.loss = tensors["open_row"].tolist()
         self.rays, self.steps = int(rays), int(steps)
-
-
-def _save(path: Path, field: RadianceField, optimizer: Adam, generator: torch.Generator, tally: Tally) -> None:
-    save_checkpoint(path, field, optimizer, generator, tally.tensors())

@@ -16,6 +16,7 @@ from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.sparse_point_metrics import measure_sparse_points
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed
+from inpaint3d.scene.plausibility import doubt_field, measure_baselines
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import Known, fit
 
@@ -50,7 +51,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if seen_by_training.any():
         sight_lines = SightLines.of([view.camera for view in views], points, seen_by_training, ctx.device)
     scored = HeldOut.on_lattice(map(KnownPhoto.of, test[: config.score_views]), config.score_side, ctx.device)
-    curve = fit(field, Known(pixels, sight_lines), scored, config, ctx)
+    known = Known(pixels, sight_lines, [(view.name, view.camera) for view in train])
+    curve = fit(field, known, scored, config, ctx)
 
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
@@ -58,6 +60,10 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     held_out = HeldOut.on_lattice(map(KnownPhoto.of, test), config.score_side, ctx.device)
     judges = ~seen_by_training if test else None
     agrees = measure_sparse_points(field, [view.camera for view in views], points, among=judges, block=config.block)
+    psnr = held_out.psnr(field, config.block)
+    depth_error, floaters = (None, None) if agrees is None else (agrees.depth_error, agrees.floaters)
+    for doubt in doubt_field(psnr, measure_baselines(train, test, points), depth_error, floaters):
+        ctx.doubt(doubt)
     shown = write_views(
         folder,
         field,
@@ -73,9 +79,10 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         steps=config.steps,
         seed=ctx.seed,
         backend=backends.name_of(field.backend),
-        held_out_psnr=held_out.psnr(field, config.block),
-        depth_error=None if agrees is None else agrees.depth_error,
-        floaters=None if agrees is None else agrees.floaters,
+        held_out_psnr=psnr,
+        depth_error=depth_error,
+        floaters=floaters,
         non_finite=ctx.non_finite,
+        health=ctx.health,
     )
     outputs.write("radiance-field", metadata)

@@ -4,9 +4,31 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.models.base import Closed, Positive, Share
+from inpaint3d.contracts.models.base import Closed, Finite, Positive, Share
 
 Count = Annotated[int, Field(ge=1)]
+
+
+class Marker(Closed):
+    """Printed markers of known size that lie in the scene."""
+
+    dictionary: Literal[
+        "DICT_4X4_50", "DICT_5X5_100", "DICT_6X6_250", "DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5",
+        "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h11",
+    ] = Field(default="DICT_4X4_50", description="OpenCV's name of the markers' family")  # fmt: skip
+    side_m: Positive = Field(description="metres; side of a marker's black square")
+
+
+Pixel = tuple[Finite, Finite]
+
+
+class Distance(Closed):
+    """Two points of the scene whose distance was measured."""
+
+    metres: Positive
+    pixels: Annotated[dict[str, tuple[Pixel, Pixel]], Field(min_length=2)] = Field(
+        description="view -> the two points, in pixels of the captured picture; in two views or more"
+    )
 
 
 class Config(Closed):
@@ -28,6 +50,12 @@ class Config(Closed):
     exhaustive_up_to: Count = Field(default=25, description="frames; ordered captures up to this many match all pairs")
     overlap: Count = Field(default=10, description="frames; how far ahead sequential matching looks")
     truth_partners: Count = Field(default=16, description="frames that each truth view is matched with, spread evenly")
+    source_metres_per_unit: Positive | None = Field(
+        default=None,
+        description="metres; a unit of the cameras that came with the capture, where it is known",
+    )
+    marker: Marker | None = Field(default=None, description="markers of known size, for the scale")
+    distance: Distance | None = Field(default=None, description="a measured distance, for the scale")
     output_longest_side: Annotated[int, Field(ge=16)] = Field(
         default=480, description="pixels; undistorted frames are at most this long (never enlarged)"
     )
@@ -41,6 +69,17 @@ class Config(Closed):
         default=1.5, description="degrees; median triangulation angle below which depth cannot be told"
     )
     min_points: Count = Field(default=20, description="sparse points that must be found")
+    min_agreement: Share = Field(
+        default=0.7, description="share of the verified matches that must agree with the cameras; 0: whatever they say"
+    )
+    min_view_agreement: Share = Field(
+        default=0.4, description="the same of each single view of cameras that came with the capture"
+    )
+    largest_epipolar_px: Positive = Field(
+        default=4.0,
+        description="pixels at the captured size per 1000 of its longest side; how far from its epipolar line a match "
+        "may be to agree with cameras",
+    )
     largest_error_px: Positive = Field(
         default=4.0, description="pixels at the captured size per 1000 of its longest side; mean reprojection error"
     )

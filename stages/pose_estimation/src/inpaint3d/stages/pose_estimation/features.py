@@ -94,10 +94,14 @@ def _number(path: Path, groups: Mapping[int, Sequence[str]]) -> None:
                 database.write_frame(frame)
 
 
-def match(database: Path, pairs: Pairs, ctx: Context) -> None:
-    """Match pictures pair by pair, and keep what one two-view geometry explains."""
+def match(database: Path, pairs: Pairs, ctx: Context, *, guided: bool = False) -> None:
+    """Match pictures pair by pair, and keep what one two-view geometry explains.
+
+    guided: look for more matches along the epipolar lines of what was found; costs about as much again.
+    """
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = ctx.threads
+    matching.guided_matching = guided
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = ctx.seed
     listed = database.with_name(f"{database.stem}-pairs.txt")

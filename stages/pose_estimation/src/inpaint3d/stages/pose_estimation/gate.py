@@ -1,11 +1,30 @@
 """What a capture must give before anything is built on it; each refusal names the figures and the repair."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.stages.pose_estimation.config import Config
+import numpy as np
+from numpy.typing import NDArray
 
-PANORAMA_SHARE = 0.7
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import CapturedFrame
+from inpaint3d.stages.pose_estimation.agreement import Agreement
+from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.matches import PairCounts
+from inpaint3d.stages.pose_estimation.suspects import Repair
+
+DEGENERATE_SHARE = 0.7  # of the verified pairs: so many of one kind are the reason
+FLAT_SHARE = 0.9  # the same where views could be placed; 39 % on photos of a papered wall
+FEW_FEATURES = 100  # a median below which pictures show too little to be told apart
+ENOUGH_MATCHES = 50  # of a view with others, before it is judged by them
+BLANK = 4  # features below which a picture shows nothing
+FAR = 25.0  # median distances of the cameras from their middle
+WALK = "walk sideways between photos, don't turn on the spot"
+ESTIMATE = "set pose-estimation.cameras=estimate to find the cameras from the pictures"
+
+
+class TooFewViewsError(BadInputError):
+    """Too few views could be placed, though nothing says that looking harder is of no use."""
 
 
 @dataclass(frozen=True)
@@ -16,9 +35,8 @@ class Evidence:
     registered: int
     unregistered: tuple[str, ...]
     model_sizes: list[int]
-    verified_pairs: int
-    turned_pairs: int
-    median_inliers: float
+    pairs: PairCounts
+    median_features: float
     points: int
     angle_deg: float
     error_px: float
@@ -29,11 +47,18 @@ def check_estimated(e: Evidence, config: Config) -> None:
     """BadInputError where the photos cannot carry a scene."""
     needed = max(config.min_registered, round(config.min_registered_share * e.given))
     if e.registered < needed:
-        raise BadInputError(_too_few(e, needed))
+        refused = BadInputError if find_degeneracy(e) else TooFewViewsError
+        raise refused(_too_few(e, needed))
+    # With a focal length to choose, a mapper finds depth in them all the same.
+    if (flat := e.pairs.turned + e.pairs.planar) >= FLAT_SHARE * e.pairs.verified > 0:
+        raise BadInputError(
+            f"in {flat} of {e.pairs.verified} matching pairs a turn on the spot (pure rotation) or one plane explains "
+            f"all matches, so that no depth can be told; {WALK}, and have something before or behind the plane in view"
+        )
     if e.angle_deg < config.min_angle_deg:
         raise BadInputError(
             f"too little parallax: the median triangulation angle is {e.angle_deg:.2f} degrees, "
-            f"{config.min_angle_deg} are needed; walk sideways between photos, don't turn on the spot"
+            f"{config.min_angle_deg} are needed; {WALK}"
         )
     if e.points < config.min_points:
         raise BadInputError(
@@ -45,13 +70,72 @@ def check_estimated(e: Evidence, config: Config) -> None:
 
 def check_known(e: Evidence, config: Config) -> None:
     """BadInputError where the pictures contradict the cameras that came with them."""
-    if e.points < config.min_points and e.verified_pairs * e.median_inliers > 20 * config.min_points:
+    if e.points < config.min_points and e.pairs.verified * e.pairs.median_matches > 20 * config.min_points:
         raise BadInputError(
-            f"the cameras that came with the capture do not fit its pictures: {e.verified_pairs} pairs match with "
-            f"{e.median_inliers:.0f} inliers each, but only {e.points} points triangulate; "
+            f"the cameras that came with the capture do not fit its pictures: {e.pairs.verified} pairs match with "
+            f"{e.pairs.median_matches:.0f} inliers each, but only {e.points} points triangulate; "
             "check their conventions, or set pose-estimation.cameras=estimate"
         )
-    _check_error(e, config, "set pose-estimation.cameras=estimate to find the cameras from the pictures")
+    _check_error(e, config, ESTIMATE)
+
+
+def check_found(agreement: Agreement, config: Config) -> None:
+    """BadInputError where many verified matches contradict the cameras that were found from them."""
+    if agreement.share < config.min_agreement:
+        raise BadInputError(
+            f"the photos contradict each other: {agreement.share:.0%} of {agreement.verified.sum() // 2} verified "
+            f"matches agree with the cameras found, {config.min_agreement:.0%} are needed; photograph a scene that "
+            "does not move and does not repeat itself"
+        )
+
+
+def check_agreement(
+    agreement: Agreement, repair: Repair | None, frames: Sequence[CapturedFrame], config: Config
+) -> None:
+    """BadInputError where verified matches contradict the cameras: over all views, after a usual slip, in single views.
+
+    `repair`: a change of the cameras that brings matches clearly nearer.
+    """
+    side = max(max(frame.width, frame.height) for frame in frames)
+    off = f"matches are usually {agreement.median_distance * side:.2f} px off"
+    if np.isinf(agreement.median_distance):
+        off = "most matches meet behind a camera"
+    slip = f"; {off}, but {repair.median_distance * side:.2f} px {repair.words}" if repair else ""
+    if agreement.share < config.min_agreement or repair:
+        raise BadInputError(
+            f"the cameras that came with the capture contradict its pictures: {agreement.share:.0%} of "
+            f"{agreement.verified.sum() // 2} verified matches agree with them, {config.min_agreement:.0%} are "
+            f"needed{slip}; check the cameras' order, axes and focal length, or {ESTIMATE}"
+        )
+    judged = agreement.verified >= ENOUGH_MATCHES
+    wrong = np.flatnonzero(judged & (agreement.by_view < config.min_view_agreement)).tolist()
+    if wrong:
+        told = _shorten([f"{frames[v].name} ({agreement.by_view[v]:.0%} of {agreement.verified[v]})" for v in wrong])
+        raise BadInputError(
+            f"the cameras of {len(wrong)} of {len(frames)} views contradict their pictures, though the others agree: "
+            f"{told} of their verified matches agree; leave these views out, or {ESTIMATE}"
+        )
+
+
+def check_spread(centres: NDArray[np.float64], names: list[str]) -> None:
+    """BadInputError where a camera [n, 3] stands so far off that the scene would shrink to a dot."""
+    distance = np.linalg.norm(centres - np.median(centres, 0), axis=1)
+    usual = float(np.median(distance))
+    far = np.flatnonzero(distance > FAR * usual).tolist() if usual > 0 else []
+    if far:
+        told = _shorten([f"{names[v]} ({distance[v] / usual:.0f} times as far as most)" for v in far])
+        raise BadInputError(
+            f"{len(far)} cameras stand far from all others: {told}; leave these views out, or {ESTIMATE}"
+        )
+
+
+def check_blank(blank: list[str]) -> None:
+    """BadInputError for pictures that show nothing, under cameras that would have them fitted."""
+    if blank:
+        raise BadInputError(
+            f"{len(blank)} pictures show nothing that could be recognised ({_shorten(blank)}): black, or one colour; "
+            "leave them out"
+        )
 
 
 def _check_error(e: Evidence, config: Config, repair: str) -> None:
@@ -63,14 +147,26 @@ def _check_error(e: Evidence, config: Config, repair: str) -> None:
         )
 
 
+def find_degeneracy(e: Evidence) -> str:
+    """Why no depth can be told from most pairs, in words; "" where it can."""
+    for count, reason in (
+        (e.pairs.still, "the pictures hardly differ: the camera rested, and what moved before it is no scene; walk on"),
+        (e.pairs.turned, f"the camera only turned (pure rotation); {WALK}"),
+        (e.pairs.planar, "all lies in one plane, which tells no depth; have something before or behind it in view"),
+    ):
+        if e.pairs.verified and count >= DEGENERATE_SHARE * e.pairs.verified:
+            return f"in {count} of {e.pairs.verified} matching pairs {reason}"
+    return ""
+
+
 def _too_few(e: Evidence, needed: int) -> str:
-    shown = ", ".join(e.unregistered[:5]) + (", ..." if len(e.unregistered) > 5 else "")
-    pairs = e.given * (e.given - 1) // 2
     counted = f"{e.registered} of {e.given} views could be placed, {needed} are needed"
-    if e.verified_pairs and e.turned_pairs >= PANORAMA_SHARE * e.verified_pairs:
+    if reason := find_degeneracy(e):
+        return f"{counted}: {reason}"
+    if e.median_features < FEW_FEATURES:
         return (
-            f"{counted}: in {e.turned_pairs} of {e.verified_pairs} matching pairs the camera only turned "
-            "(pure rotation); walk sideways between photos, don't turn on the spot"
+            f"{counted}: pictures have a median of {e.median_features:.0f} features (dark, blurred, or bare surfaces); "
+            "photograph a scene with more texture, sharper, in more light"
         )
     if len(e.model_sizes) > 1 and e.model_sizes[1] >= 3:
         sizes = ", ".join(map(str, e.model_sizes))
@@ -79,6 +175,11 @@ def _too_few(e: Evidence, needed: int) -> str:
             "add photos between them, or give the scenes one by one"
         )
     return (
-        f"{counted}: {e.verified_pairs} of {pairs} pairs match, with a median of {e.median_inliers:.0f} inliers; "
-        f"take more photos that overlap by half and show one scene (not placed: {shown or 'none'})"
+        f"{counted}: {e.pairs.verified} of {e.given * (e.given - 1) // 2} pairs match, with a median of "
+        f"{e.pairs.median_matches:.0f} inliers; take more photos that overlap by half and show one scene "
+        f"(not placed: {_shorten(e.unregistered) or 'none'})"
     )
+
+
+def _shorten(names: list[str] | tuple[str, ...]) -> str:
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.contracts.kit.context import Context
-from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.stages.pose_estimation.config import Config
 
 
@@ -69,18 +68,18 @@ def triangulate(
     folder: Path,
     work: Path,
     lenses: Mapping[int, pycolmap.Camera],
-    known: Mapping[str, tuple[int, KnownCamera]],
+    known: Mapping[str, tuple[int, NDArray[np.float64]]],
     ctx: Context,
 ) -> pycolmap.Reconstruction:
-    """Points under known cameras: poses and lenses stay as they are. `known`: name -> (lens, camera)."""
+    """Points under known cameras: poses and lenses stay as they are. `known`: name -> (lens, pose)."""
     given = pycolmap.Reconstruction()
     for lens in lenses.values():
         given.add_camera_with_trivial_rig(lens)
     with pycolmap.Database.open(database) as db:
         numbers = {image.name: image.image_id for image in db.read_all_images()}
-    for name, (lens, camera) in known.items():
+    for name, (lens, pose) in known.items():
         image = pycolmap.Image(name=name, camera_id=lens, image_id=numbers[name])
-        given.add_image_with_trivial_frame(image, make_rigid(camera.world_from_cam).inverse())
+        given.add_image_with_trivial_frame(image, make_rigid(pose).inverse())
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = ctx.seed
     options.num_threads = 1
@@ -98,16 +97,3 @@ def make_rigid(world_from_cam: ArrayLike) -> pycolmap.Rigid3d:
     pose = np.asarray(world_from_cam, np.float64)
     u, _, vt = np.linalg.svd(pose[:, :3])
     return pycolmap.Rigid3d(np.concatenate([u @ vt, pose[:, 3:]], 1))
-
-
-def two_view_kinds(database: Path) -> tuple[int, int, float]:
-    """Verified pairs, how many of them a turn on the spot (or a plane) explains, and their median inliers."""
-    with pycolmap.Database.open(database) as db:
-        _, pairs = db.read_two_view_geometries()
-    turned = {
-        pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
-        pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC,
-    }
-    inliers = [len(p.inlier_matches) for p in pairs if len(p.inlier_matches)]
-    kinds = [p.config in turned for p in pairs if len(p.inlier_matches)]
-    return len(inliers), sum(kinds), float(np.median(inliers)) if inliers else 0.0

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from inpaint3d.scene.geometry import Similarity
 
 Floats = NDArray[np.float64]
-POSE_DIGITS = 9
+DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +72,14 @@ def from_reconstruction(found: pycolmap.Reconstruction, order: list[str]) -> Mod
     xy = [images[view].points2D[k].xy for track in tracks for view, k in track]
     lenses = {i: pycolmap.Camera(c.todict()) for i, c in sorted(found.cameras.items())}
     for lens in lenses.values():
-        lens.params = round_to_digits(lens.params).tolist()
-    poses = [round_to_digits(image.cam_from_world().inverse().matrix()) for image in images]
+        lens.params = round_to_digits(lens.params, np.maximum(np.abs(lens.params), 1.0)).tolist()
+    poses = [round_pose(image.cam_from_world().inverse().matrix()) for image in images]
     model = Model(
         names=[image.name for image in images],
         lenses=lenses,
         view_lens=[image.camera_id for image in images],
         world_from_cam=np.array(poses).reshape(-1, 3, 4),
-        xyz=round_to_digits([p.xyz for p in points]).reshape(-1, 3),
+        xyz=round_points([p.xyz for p in points]),
         error=np.zeros(len(points)),
         track_offsets=np.concatenate([[0], np.cumsum([len(t) for t in tracks])]).astype(np.int64),
         track_view=np.array(views, np.int32),
@@ -88,12 +88,26 @@ def from_reconstruction(found: pycolmap.Reconstruction, order: list[str]) -> Mod
     return replace(model, error=mean_by_point(model, model.residuals()))
 
 
-def round_to_digits(values: ArrayLike, digits: int = POSE_DIGITS) -> Floats:
-    """Values rounded to so many digits of the largest of them."""
-    values = np.array(values, np.float64)
-    largest = float(np.abs(values).max()) if values.size else 0.0
-    step = 10.0 ** (np.ceil(np.log10(largest)) - digits) if largest > 0 else 1.0
-    return np.round(values / step) * step
+def round_to_digits(values: ArrayLike, magnitude: ArrayLike) -> Floats:
+    """Values rounded to nine digits of a magnitude: one for each value, or that broadcasts.
+
+    Numbers of different kinds have magnitudes of their own: a rotation that were rounded as the translation beside it
+    would be worth nothing far from the origin, and one far point would round all others away.
+    """
+    step = 10.0 ** (np.ceil(np.log10(np.asarray(magnitude, np.float64))) - DIGITS)
+    return np.round(np.asarray(values, np.float64) / step) * step
+
+
+def round_points(xyz: ArrayLike) -> Floats:
+    """Points [n, 3] of a world whose size is about 1, each as its own distance from the origin allows."""
+    xyz = np.asarray(xyz, np.float64).reshape(-1, 3)
+    return round_to_digits(xyz, np.maximum(np.abs(xyz).max(-1, keepdims=True, initial=0.0), 1.0))
+
+
+def round_pose(pose: ArrayLike) -> Floats:
+    """A pose [3, 4], its rotation and its translation apart."""
+    pose = np.asarray(pose, np.float64)[:3]
+    return np.concatenate([round_to_digits(pose[:, :3], 1.0), round_points(pose[:, 3]).T], 1)
 
 
 def mean_by_point(model: Model, values: Floats) -> Floats:

@@ -1,10 +1,12 @@
 """The normalised world: z up, the point of interest at the origin, every camera centre within the unit ball."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.geometry import Similarity, nearest_point_to_axes, rotation_about_z, rotation_between
 
 Floats = NDArray[np.float64]
@@ -18,6 +20,8 @@ PLANE_SHARE = 0.15
 # Optical axes nearer to parallel than this have no reliable point where they meet.
 MIN_SPREAD_DEG = 4.0
 MARGIN = 1e-6
+# The scene's detail is shared out over the cube that the cameras span.
+FAR_CAMERA = 10.0
 
 
 @dataclass(frozen=True)
@@ -39,9 +43,37 @@ def normalise(poses: Floats, xyz: Floats, seed: int) -> Normalisation:
     if np.hypot(first[0], first[1]) > 1e-6 * np.linalg.norm(first):
         turned = rotation_about_z(-90 - np.rad2deg(np.arctan2(first[1], first[0]))) @ turned
     distances = np.linalg.norm(poses[:, :, 3] - interest, axis=1)
+    if not distances.max() > 0:
+        raise BadInputError("all cameras stand in one point, at what they look at; check their poses")
     scale = (1 - MARGIN) / float(distances.max())
     similarity = Similarity(scale, turned, -scale * turned @ interest)
     return Normalisation(similarity, f"{evidence}; origin: {reason}", scale * float(np.median(distances)))
+
+
+def find_local_frame(centres: Floats) -> Similarity:
+    """From a source's world to one around its cameras [n, 3], of about their size.
+
+    Coordinates of a survey lie 1e6 units away from their origin: what is computed there loses six digits. The scale is
+    a power of two, so that the change rounds nothing that the source has.
+    """
+    origin = np.median(centres, 0)
+    extent = float(np.median(np.linalg.norm(centres - origin, axis=1)))
+    scale = 2.0 ** -round(np.log2(extent)) if extent > 0 else 1.0
+    return Similarity(scale, np.eye(3), -scale * origin)
+
+
+def check_reach(names: Sequence[str], centres: Floats) -> None:
+    """BadInputError where one camera [n, 3] in the normalised world is so far away that it leaves no room for others.
+
+    The farthest camera is at 1 there: what it squeezes is the scene.
+    """
+    distances = np.linalg.norm(centres, axis=1)
+    farthest, usual = int(distances.argmax()), float(np.median(distances))
+    if distances[farthest] > FAR_CAMERA * usual:
+        raise BadInputError(
+            f"the camera of {names[farthest]} is {distances[farthest] / usual:.0f} times as far from what all look at "
+            f"as half of the others, at most {FAR_CAMERA:g} times is taken; check its pose, or remove the frame"
+        )
 
 
 def find_up(poses: Floats, xyz: Floats, seed: int) -> tuple[Floats, str]:

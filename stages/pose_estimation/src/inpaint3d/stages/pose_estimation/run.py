@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
@@ -29,10 +30,12 @@ from inpaint3d.scene.capture_io import (
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.pose_estimation import features
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.known import known_lens, take_other_poses
 from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
-from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
-from inpaint3d.stages.pose_estimation.solve import Solved, known_lens, link_pictures, solve
+from inpaint3d.stages.pose_estimation.normalise import Normalisation, check_reach, normalise
+from inpaint3d.stages.pose_estimation.scale import find_scale
+from inpaint3d.stages.pose_estimation.solve import Solved, link_pictures, solve
 from inpaint3d.stages.pose_estimation.truth import Registered, register
 from inpaint3d.stages.pose_estimation.undistort import Undistorter
 
@@ -43,6 +46,10 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     features.silence_pycolmap()
     solved = solve(capture, config, ctx)
     world = normalise(solved.model.world_from_cam, solved.model.xyz, ctx.seed)
+    frame_of = {link: name for name, link in solved.links.items()}
+    check_reach(
+        [frame_of[link] for link in solved.model.names], world.normalised_from_source.points(solved.model.centres)
+    )
     write_capture(capture, solved, world, config, outputs, ctx)
     if truth is not None:
         write_truth(capture, truth, solved, world, config, outputs, ctx)
@@ -61,6 +68,7 @@ def write_capture(
     tests = choose_test_views(len(taken), config)
     colours = np.zeros((len(model.track_view), 3))
     track_xy = np.zeros((len(model.track_view), 2))
+    usual = describe_lens(model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))], solved)
     frames: list[PosedFrame] = []
     for view, frame in enumerate(taken):
         ctx.progress(view, len(taken), "undistorting")
@@ -75,21 +83,23 @@ def write_capture(
                 split="test" if view in tests else "train", relative_exposure=exposures[view],
                 mask=None if mask is None else lens.mask(mask),
                 valid=lens.combine_valid(read_captured_valid(capture, frame)),
+                lens=None if (own := describe_lens(lens.lens, solved)) == usual else own,
             )
         )  # fmt: skip
     write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
-    usual = model.lenses[max(model.lenses, key=lambda n: (model.view_lens.count(n), -n))]
-    back = world.normalised_from_source.inverse()
+    back = solved.local_from_source.then(world.normalised_from_source).inverse()
+    scale = find_scale(capture, taken, solved.model.moved(solved.local_from_source.inverse()), config, ctx)
     outputs.write(
         "posed-capture",
         PosedCapture(
             frames=tuple(frames),
             ordered=capture.metadata.ordered,
-            lens=LensModel(
-                model=usual.model_name, params=tuple(float(p) for p in usual.params), evidence=solved.lens_evidence
-            ),
+            lens=usual,
             registration=solved.registration,
             source_from_normalised_scale=back.scale,
+            scale=None
+            if scale is None
+            else scale.model_copy(update={"metres_per_unit": scale.metres_per_unit * back.scale}),
             source_from_normalised=as_pose(back.matrix),
             centre_depth=world.centre_depth,
             up_evidence=world.up_evidence,
@@ -108,8 +118,10 @@ def write_truth(
 ) -> None:
     """Truth views in the same world, undistorted alike; none is written where none can be placed."""
     given = truth.metadata.frames
+    if solved.other_order:
+        given = take_other_poses(given)
     if solved.source == "known" and all(f.camera is not None for f in given):
-        model, placed = _known_truth(solved.model, given)
+        model, placed = _known_truth(solved, given)
     else:
         paths = link_pictures(truth, solved.folder, "truth")
         model = solved.model
@@ -144,6 +156,11 @@ def write_truth(
     )
 
 
+def describe_lens(lens: pycolmap.Camera, solved: Solved) -> LensModel:
+    """A lens as the artifact has it."""
+    return LensModel(model=lens.model_name, params=tuple(float(p) for p in lens.params), evidence=solved.lens_evidence)
+
+
 def choose_test_views(count: int, config: Config) -> set[int]:
     """Positions of the test views: every `test_every`-th, from the first; none in captures that need all."""
     if config.test_every == 0 or count < config.keep_test_from:
@@ -167,8 +184,9 @@ def _exposure(frame: CapturedFrame) -> float | None:
     return exif.exposure_s * exif.iso / exif.f_number**2
 
 
-def _known_truth(model: Model, frames: Sequence[CapturedFrame]) -> tuple[Model, dict[str, Registered]]:
+def _known_truth(solved: Solved, frames: Sequence[CapturedFrame]) -> tuple[Model, dict[str, Registered]]:
     """Truth views with cameras of their own; their lenses join the model's. Nothing is measured: their error is 0."""
+    model = solved.model
     lenses = dict(model.lenses)
     placed: dict[str, Registered] = {}
     for frame in frames:
@@ -179,7 +197,8 @@ def _known_truth(model: Model, frames: Sequence[CapturedFrame]) -> tuple[Model, 
                  and (c.model_name, c.width, c.height) == (lens.model_name, lens.width, lens.height))  # fmt: skip
         number = next(alike, lens.camera_id)
         lenses.setdefault(number, lens)
-        placed[frame.name] = Registered(make_rigid(camera.world_from_cam).matrix(), number, 0.0)
+        pose = make_rigid(solved.local_from_source.pose(camera.world_from_cam)).matrix()
+        placed[frame.name] = Registered(pose, number, 0.0)
     return replace(model, lenses=lenses), placed
 
 

@@ -1,5 +1,6 @@
 """A capture's cameras: those that came with it, triangulated, or estimated from its pictures. Both pass the gate."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -9,26 +10,40 @@ import pycolmap
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.kit.context import Context
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCamera, Registration, Truth
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, Registration, Truth
 from inpaint3d.contracts.store import Artifact
-from inpaint3d.stages.pose_estimation import features, gate, lens, mapping
+from inpaint3d.scene.geometry import Similarity
+from inpaint3d.stages.pose_estimation import features, gate, known, lens, mapping
+from inpaint3d.stages.pose_estimation.agreement import Agreement, Cameras, measure_agreement
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.matches import VerifiedPair, count_kinds, read_verified_pairs
 from inpaint3d.stages.pose_estimation.model import Model, from_reconstruction, median_triangulation_angle
+from inpaint3d.stages.pose_estimation.normalise import find_local_frame
 
 START_LENS = "SIMPLE_RADIAL"
+SOURCE = Similarity(1.0, np.eye(3), np.zeros(3))
+# The second try: more and finer features, all pairs of sets up to so many frames, and matches along epipolar lines.
+FEATURES_FACTOR, SIDE_FACTOR, EXHAUSTIVE_UP_TO = 2, 1.5, 120
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A model that passed the gate. `links`: frame name -> its picture's path below `folder`, the name in the model."""
+    """A model that passed the gate. `links`: frame name -> its picture's path below `folder`, the name in the model.
+
+    local_from_source: from the world of known cameras to the model's; estimated ones have no other than the model's.
+    """
 
     model: Model
     source: Literal["estimated", "known"]
     lens_evidence: str
     evidence: gate.Evidence
+    agreement: Agreement
     database: Path
     folder: Path
     links: dict[str, str]
+    local_from_source: Similarity
+    other_order: bool = False
+    """Whether cameras without names were taken in the other order of their pictures."""
 
     @property
     def registration(self) -> Registration:
@@ -39,41 +54,131 @@ class Solved:
             registered=e.registered,
             unregistered=e.unregistered,
             mean_reprojection_error_px=e.error_px,
+            agreement=self.agreement.share,
             points=e.points,
             median_triangulation_angle_deg=e.angle_deg,
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """A capture's pictures with their features and verified matches. `features`: how many each picture has."""
+
+    frames: Sequence[CapturedFrame]
+    links: dict[str, str]
+    folder: Path
+    database: Path
+    pairs: list[VerifiedPair]
+    features: list[int]
+
+    @property
+    def order(self) -> list[str]:
+        return list(self.links.values())
+
+
 def solve(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
-    """Cameras and points of a capture in its source's world; BadInputError where the gate refuses."""
-    known = _use_known(capture.metadata, config)
-    folder = ctx.work / "pictures"
+    """Cameras and points of a capture in its source's world; BadInputError where the gate refuses.
+
+    Where too few views can be placed, a second try looks harder before that.
+    """
+    if _use_known(capture.metadata, config):
+        return _solve_known(capture, config, ctx)
+    try:
+        return _estimate(capture, config, ctx, ctx.work)
+    except gate.TooFewViewsError as refusal:
+        harder = look_harder(config, len(capture.metadata.frames))
+        ctx.log(
+            f"{refusal}. A second try: {harder.features} features at {harder.feature_longest_side} px, "
+            f"{harder.matching} matching, guided"
+        )
+    return _estimate(capture, harder, ctx, ctx.work / "second", guided=True)
+
+
+def look_harder(config: Config, frames: int) -> Config:
+    """Parameters that find more, and cost several times as much."""
+    return config.model_copy(
+        update={
+            "features": FEATURES_FACTOR * config.features,
+            "feature_longest_side": round(SIDE_FACTOR * config.feature_longest_side),
+            "matching": "exhaustive" if frames <= EXHAUSTIVE_UP_TO else config.matching,
+            "overlap": 2 * config.overlap,
+        }
+    )
+
+
+def _solve_known(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
+    groups, lenses = known.group_by_lens(capture.metadata.frames)
+    matched = _match_pictures(capture, groups, lenses, config, ctx, ctx.work)
+    frames, other = known.choose_order(matched.frames, matched.pairs, config, ctx)
+    known.check(frames, matched.pairs, matched.features, config)
+    number = {f.name: n for n, group in groups.items() for f in group}
+    local = find_local_frame(np.array([f.camera.world_from_cam for f in frames if f.camera])[:, :, 3])
+    cameras = {matched.links[f.name]: (number[f.name], local.pose(f.camera.world_from_cam)) for f in frames if f.camera}
+    found = mapping.triangulate(matched.database, matched.folder, ctx.work, lenses, cameras, ctx)
+    model = from_reconstruction(found, matched.order)
+    evidence = _evidence(model, [len(frames)], matched)
+    gate.check_known(evidence, config)
+    return _conclude(model, "known", "came with the capture", evidence, matched, config, local, other_order=other)
+
+
+def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Path, *, guided: bool = False) -> Solved:
+    work.mkdir(exist_ok=True)
+    groups, lenses = group_by_camera(capture.metadata.frames, START_LENS if config.lens == "auto" else config.lens)
+    matched = _match_pictures(capture, groups, lenses, config, ctx, work, guided=guided)
+    result = mapping.estimate(matched.database, matched.folder, work, config, ctx)
+    if result.model is None:
+        gate.check_estimated(_evidence(None, result.sizes, matched), config)
+        raise BadInputError("no model could be made of the photos; take more that overlap")
+    ctx.progress(len(matched.order), len(matched.order), "lens")
+    chosen, why = lens.choose_lens(result.model, config.lens)
+    model = from_reconstruction(chosen, matched.order)
+    evidence = _evidence(model, result.sizes, matched)
+    gate.check_estimated(evidence, config)
+    solved = _conclude(model, "estimated", why, evidence, matched, config)
+    gate.check_found(solved.agreement, config)
+    return solved
+
+
+def _conclude(
+    model: Model,
+    source: Literal["estimated", "known"],
+    why: str,
+    evidence: gate.Evidence,
+    matched: Matched,
+    config: Config,
+    local: Similarity = SOURCE,
+    *,
+    other_order: bool = False,
+) -> Solved:
+    pairs = read_verified_pairs(matched.database, model.names)
+    cameras = Cameras([model.lenses[n] for n in model.view_lens], list(model.world_from_cam))
+    agreement = measure_agreement(pairs, cameras, known.tolerance(config))
+    return Solved(
+        model, source, why, evidence, agreement, matched.database, matched.folder, matched.links, local, other_order
+    )
+
+
+def _match_pictures(
+    capture: Artifact[Capture],
+    groups: known.Groups,
+    lenses: dict[int, pycolmap.Camera],
+    config: Config,
+    ctx: Context,
+    work: Path,
+    *,
+    guided: bool = False,
+) -> Matched:
+    folder, database = ctx.work / "pictures", work / "capture.db"
     links = link_pictures(capture, folder, "capture")
-    groups, lenses = _known_lenses(capture.metadata) if known else _size_groups(capture.metadata, config)
-    database = ctx.work / "capture.db"
+    order = list(links.values())
     features.create_database(database, list(lenses.values()))
     by_lens = {number: [links[f.name] for f in frames] for number, frames in groups.items()}
     features.add_pictures(database, folder, by_lens, config, ctx)
-    order = list(links.values())
     pairs = features.choose_pairs(order, ordered=capture.metadata.ordered, config=config)
-    features.match(database, pairs, ctx)
-    if known:
-        cameras = {links[f.name]: (n, f.camera) for n, frames in groups.items() for f in frames if f.camera}
-        found = mapping.triangulate(database, folder, ctx.work, lenses, cameras, ctx)
-        model, sizes = from_reconstruction(found, order), [len(order)]
-        why = "came with the capture"
-    else:
-        result = mapping.estimate(database, folder, ctx.work, config, ctx)
-        sizes = result.sizes
-        if result.model is None:
-            gate.check_estimated(_evidence(None, sizes, capture.metadata, links, database), config)
-            raise BadInputError("no model could be made of the photos; take more that overlap")
-        ctx.progress(len(order), len(order), "lens")
-        chosen, why = lens.choose_lens(result.model, config.lens)
-        model = from_reconstruction(chosen, order)
-    evidence = _evidence(model, sizes, capture.metadata, links, database)
-    (gate.check_known if known else gate.check_estimated)(evidence, config)
-    return Solved(model, "known" if known else "estimated", why, evidence, database, folder, links)
+    features.match(database, pairs, ctx, guided=guided)
+    with pycolmap.Database.open(database) as db:
+        counts = [len(features.features_of(db, name)) for name in order]
+    return Matched(capture.metadata.frames, links, folder, database, read_verified_pairs(database, order), counts)
 
 
 def link_pictures(artifact: Artifact[Capture] | Artifact[Truth], folder: Path, kind: str) -> dict[str, str]:
@@ -101,61 +206,29 @@ def _use_known(capture: Capture, config: Config) -> bool:
     )
 
 
-def known_lens(number: int, frame: CapturedFrame, camera: KnownCamera) -> pycolmap.Camera:
-    """The lens of a frame that came with a camera."""
-    made = pycolmap.Camera.create_from_model_name(number, camera.model, 1.0, frame.width, frame.height)
-    if len(camera.params) != len(made.params):
-        raise BadInputError(
-            f"camera of {frame.name}: {camera.model} has {len(made.params)} parameters, not {len(camera.params)}"
-        )
-    made.params = list(camera.params)
-    made.has_prior_focal_length = True
-    return made
-
-
-Groups = dict[int, list[CapturedFrame]]
-
-
-def _known_lenses(capture: Capture) -> tuple[Groups, dict[int, pycolmap.Camera]]:
-    """Frames by lens, equal lenses shared."""
+def group_by_camera(frames: Sequence[CapturedFrame], model: str) -> tuple[known.Groups, dict[int, pycolmap.Camera]]:
+    """Frames that one lens took: of one camera, size and focal length, as far as EXIF says; a lens for each group."""
     numbers: dict[tuple[object, ...], int] = {}
-    groups: Groups = {}
-    lenses: dict[int, pycolmap.Camera] = {}
-    for frame in capture.frames:
-        if (camera := frame.camera) is None:
-            continue
-        number = numbers.setdefault((camera.model, camera.params, frame.width, frame.height), len(numbers) + 1)
-        groups.setdefault(number, []).append(frame)
-        lenses.setdefault(number, known_lens(number, frame, camera))
-    return groups, lenses
+    groups: known.Groups = {}
+    for frame in frames:
+        key = (frame.exif.camera, frame.exif.focal_px, frame.width, frame.height)
+        groups.setdefault(numbers.setdefault(key, len(numbers) + 1), []).append(frame)
+    return groups, {n: features.guess_camera(n, group, model) for n, group in groups.items()}
 
 
-def _size_groups(capture: Capture, config: Config) -> tuple[Groups, dict[int, pycolmap.Camera]]:
-    """Frames by size: one lens is estimated for each."""
-    sizes: dict[tuple[int, int], int] = {}
-    groups: Groups = {}
-    for frame in capture.frames:
-        groups.setdefault(sizes.setdefault((frame.width, frame.height), len(sizes) + 1), []).append(frame)
-    start = START_LENS if config.lens == "auto" else config.lens
-    return groups, {n: features.guess_camera(n, frames, start) for n, frames in groups.items()}
-
-
-def _evidence(
-    model: Model | None, sizes: list[int], capture: Capture, links: dict[str, str], database: Path
-) -> gate.Evidence:
+def _evidence(model: Model | None, sizes: list[int], matched: Matched) -> gate.Evidence:
     placed = set(model.names) if model else set()
-    pairs, turned, inliers = mapping.two_view_kinds(database)
     residuals = model.residuals() if model else np.zeros(0)
+    longest_side = max(max(f.width, f.height) for f in matched.frames)
     return gate.Evidence(
-        given=len(capture.frames),
+        given=len(matched.frames),
         registered=len(placed),
-        unregistered=tuple(f.name for f in capture.frames if links[f.name] not in placed),
+        unregistered=tuple(f.name for f in matched.frames if matched.links[f.name] not in placed),
         model_sizes=sizes,
-        verified_pairs=pairs,
-        turned_pairs=turned,
-        median_inliers=inliers,
+        pairs=count_kinds(matched.pairs, longest_side),
+        median_features=float(np.median(matched.features)),
         points=len(model.xyz) if model else 0,
         angle_deg=median_triangulation_angle(model) if model else 0.0,
         error_px=float(residuals.mean()) if residuals.size else 0.0,
-        longest_side=max(max(f.width, f.height) for f in capture.frames),
+        longest_side=longest_side,
     )

@@ -13,7 +13,7 @@ from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import CapturedFrame
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import add_pictures, create_database, features_of, match, number_of
-from inpaint3d.stages.pose_estimation.model import Model, round_to_digits
+from inpaint3d.stages.pose_estimation.model import Model, round_pose
 
 Floats = NDArray[np.float64]
 
@@ -31,16 +31,21 @@ class Registered:
 
 
 def lens_for(frame: CapturedFrame, model: Model) -> int:
-    """The number of the capture's lens that took a truth frame: that of its size."""
-    for number in sorted(set(model.view_lens), key=model.view_lens.count, reverse=True):
-        lens = model.lenses[number]
-        if (lens.width, lens.height) == (frame.width, frame.height):
-            return number
+    """The number of the capture's lens that took a truth frame: of its size and, as far as EXIF says, focal length."""
+    fitting = [n for n in set(model.view_lens) if _size(model.lenses[n]) == (frame.width, frame.height)]
+    if fitting and (focal := frame.exif.focal_px):
+        return min(fitting, key=lambda n: (abs(np.log(focal / model.lenses[n].mean_focal_length())), n))
+    if fitting:
+        return max(fitting, key=lambda n: (model.view_lens.count(n), -n))
     sizes = sorted({f"{c.width}x{c.height}" for c in model.lenses.values()})
     raise BadInputError(
         f"truth view {frame.name} is {frame.width}x{frame.height} but the capture's frames are {', '.join(sizes)}; "
         "give truth views as the same camera took them"
     )
+
+
+def _size(lens: pycolmap.Camera) -> tuple[int, int]:
+    return lens.width, lens.height
 
 
 def register(
@@ -116,7 +121,7 @@ def _pose(xy: Floats, xyz: Floats, lens: pycolmap.Camera, seed: int) -> tuple[Fl
     if found is None or found["num_inliers"] < MIN_INLIERS:
         return None
     inliers = np.asarray(found["inlier_mask"], bool)
-    pose = round_to_digits(found["cam_from_world"].inverse().matrix())
+    pose = round_pose(found["cam_from_world"].inverse().matrix())
     in_cam = (xyz[inliers] - pose[:, 3]) @ pose[:, :3]
     error = np.linalg.norm(np.asarray(lens.img_from_cam(np.ascontiguousarray(in_cam))) - xy[inliers], axis=1)
     return pose, float(error.mean())

@@ -73,7 +73,9 @@ class Undistorter:
     @property
     def _bends(self) -> bool:
         extra = list(self.lens.extra_params_idxs())
-        return bool(np.any(np.asarray(self.lens.params)[extra] != 0))
+        # A fisheye bends without a parameter: its radius goes with the angle, not with its tangent.
+        fisheye = self.lens.model_name.endswith("FISHEYE")
+        return fisheye or bool(np.any(np.asarray(self.lens.params)[extra] != 0))
 
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

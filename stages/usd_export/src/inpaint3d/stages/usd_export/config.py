@@ -35,5 +35,7 @@ class Config(Closed):
     )
     texture_views: Count = Field(default=3, description="views that are blended on one triangle")
     original: bool = Field(default=True, description="the scene before inpainting, as another variant")
-    metres_per_unit: Positive = Field(default=1.0, description="length of a scene unit, where it is known")
+    metres_per_unit: Positive | None = Field(
+        default=None, description="length of a scene unit; None: as pose-estimation found it, or unknown"
+    )
     block: Count = Field(default=4096, description="rays rendered at once; bounds memory, changes no result")

@@ -64,13 +64,13 @@ def write_scene(
     names: Sequence[str],
     cameras: Sequence[Camera],
     mask: MaskVolume,
-    config: Config,
+    metres_per_unit: float | None,
 ) -> UsdScene:
     """Write the layer, the package and the validators' findings; returns the artifact's metadata."""
     every = np.concatenate([content.mesh.vertices for content in contents])
     low, high = every.min(0), every.max(0)
     hull = _hull(mask, low, high)
-    scene = Scene(contents, names, cameras, mask.primitives, hull, config.metres_per_unit)
+    scene = Scene(contents, names, cameras, mask.primitives, hull, metres_per_unit)
     write_layer(folder / LAYER, scene)
     write_package(folder / PACKAGE, [(LAYER, folder / LAYER), *((c.texture, folder / c.texture) for c in contents)])
     findings = validate(folder, [LAYER, PACKAGE])
@@ -82,7 +82,7 @@ def write_scene(
         variants=tuple(content.name for content in contents),
         bounds_min=_vector(low),
         bounds_max=_vector(high),
-        metres_per_unit=config.metres_per_unit,
+        metres_per_unit=metres_per_unit,
         validation_errors=sum(f.severity == "Error" for f in findings),
     )
 

@@ -41,14 +41,17 @@ class Scene:
     cameras: Sequence[Camera]
     primitives: Sequence[Primitive]
     hull: Mesh | None
-    metres_per_unit: float
+    metres_per_unit: float | None
 
 
 def write_layer(path: Path, scene: Scene) -> None:
     """Write the scene as a binary layer; equal scenes give equal bytes."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, scene.metres_per_unit)
+    UsdGeom.SetStageMetersPerUnit(stage, scene.metres_per_unit or 1.0)
+    # USD has no word for it, and its validators ask for a length.
+    known = "unknown" if scene.metres_per_unit is None else "known"
+    stage.GetRootLayer().customLayerData = {"inpaint3d:scale": known}
     root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
     stage.SetDefaultPrim(root)
     Usd.ModelAPI(root).SetKind("component")

@@ -66,7 +66,9 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         contents.append(make_content(name, seen, bounds, folder, config))
         tick(f"{name}: {len(contents[-1].mesh.triangles)} triangles")
     mask = _mask_volume(masks, [views[i].name for i in chosen], [views[i].camera for i in chosen])
-    metadata = write_scene(folder, contents, [v.name for v in views], [v.camera for v in views], mask, config)
+    told = capture.metadata.scale
+    metres = config.metres_per_unit or (told.metres_per_unit if told else None)
+    metadata = write_scene(folder, contents, [v.name for v in views], [v.camera for v in views], mask, metres)
     tick("validated")
     outputs.write("usd-scene", metadata)
     ctx.progress(steps, steps, f"{metadata.triangles} triangles, {metadata.validation_errors} validation errors")

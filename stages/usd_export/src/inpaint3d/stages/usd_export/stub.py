@@ -27,5 +27,5 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
         ]
         contents.append(make_content(name, views, BOX, folder, TINY))
     mask = MaskVolume((), scene.cameras, list(scene.object_masks))
-    outputs.write("usd-scene", write_scene(folder, contents, scene.names, scene.cameras, mask, TINY))
+    outputs.write("usd-scene", write_scene(folder, contents, scene.names, scene.cameras, mask, None))
     ctx.progress(1, 1, "stub")

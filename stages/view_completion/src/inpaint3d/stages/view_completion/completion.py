@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import CompletedView, CompletedViews
-from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES, Origin
 from inpaint3d.scene.image_io import write_codes, write_exr, write_png
+from inpaint3d.scene.source_maps import share_sources
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,13 +17,15 @@ class Completion:
     """picture: sRGB-encoded float32 [h, w, 3] in the view's own exposure, the photo's own where it is known.
 
     sources: uint16 [h, w], where each filled pixel came from (`CompletedView.sources`). depth: z along the axis of
-    every cell [h', w'] of the depth map, scene units; None where the method makes no surface.
+    every cell [h', w'] of the depth map, scene units; None where the method makes no surface. copies: pixel (x, y)
+    [h, w, 2] that each was copied from, -1 elsewhere; None where nothing was copied within the view.
     """
 
     name: str
     picture: NDArray[np.float32]
     sources: NDArray[np.uint16]
     depth: NDArray[np.float32] | None = None
+    copies: NDArray[np.float32] | None = None
 
 
 def write_completions(
@@ -45,14 +47,14 @@ def _write_completion(folder: Path, one: Completion) -> CompletedView:
     write_codes(folder / sources, one.sources)
     if one.depth is not None:
         write_exr(folder / f"depth/{one.name}.exr", {"depth.Z": one.depth})
+    copies = None if one.copies is None else f"copies/{one.name}.exr"
+    if one.copies is not None:
+        write_exr(folder / f"copies/{one.name}.exr", {"copied.X": one.copies[..., 0], "copied.Y": one.copies[..., 1]})
     return CompletedView(
-        name=one.name, picture=picture, sources=sources, depth=depth, shares=share_sources(one.sources)
+        name=one.name,
+        picture=picture,
+        sources=sources,
+        depth=depth,
+        copies=copies,
+        shares=share_sources(one.sources),
     )
-
-
-def share_sources(sources: NDArray[np.uint16]) -> dict[Origin, float]:
-    """By source, its share of the filled pixels of a map [h, w]; sources that it does not hold are left out."""
-    filled = sources[sources > 0]
-    counts: dict[Origin, int] = {"photos": int((filled >= FIRST_PHOTO).sum())}
-    counts |= {name: int((filled == code).sum()) for name, code in SOURCE_CODES.items()}
-    return {name: round(count / len(filled), 6) for name, count in counts.items() if count}

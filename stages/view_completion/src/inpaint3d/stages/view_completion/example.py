@@ -18,7 +18,7 @@ from torch import Tensor
 
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.scene.image_io import Mask
-from inpaint3d.stages.view_completion.membrane import span_membrane
+from inpaint3d.scene.membrane import span_membrane
 
 PATCH = 7
 """Side of a patch, pixels; odd."""
@@ -45,26 +45,42 @@ Origins = Int64[Tensor, "h w"]  # the pixel that each pixel is a copy of; itself
 
 
 def fill_by_example(
-    image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
-) -> NDArray[np.float32]:
-    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`; both [h, w] and disjoint.
+    image: NDArray[np.float32],
+    hole: Mask,
+    source: Mask,
+    *,
+    variety: float = 0.0,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+) -> tuple[NDArray[np.float32], NDArray[np.int64] | None]:
+    """`image` [h, w, 3] with `hole` filled by patches that lie wholly in `source`, both [h, w] and disjoint; and what
+    each pixel was copied from, as of `copy_patches`.
 
     What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
-    holds no whole patch the hole is filled by Telea's method. variety: at the coarsest level any patch may be taken
-    that is by at most this share less alike than the best; which, `seed` says. The same arguments give the same bytes.
+    holds no whole patch the hole is filled by Telea's method, and nothing copied. variety: at the coarsest level any
+    patch may be taken that is by at most this share less alike than the best; which, `seed` says. device: where patches
+    are compared. The same arguments give the same bytes on a processor; a GPU adds votes up in any order.
     """
-    made = copy_patches(image, hole, source, variety=variety, seed=seed)
-    return fill_telea(image, hole) if made is None else blend_copies(*made, hole)
+    made = copy_patches(image, hole, source, variety=variety, seed=seed, device=device)
+    if made is None:
+        return fill_telea(image, hole), None
+    return blend_copies(*made, hole), made[1]
 
 
 def copy_patches(
-    image: NDArray[np.float32], hole: Mask, source: Mask, *, variety: float = 0.0, seed: int = 0
+    image: NDArray[np.float32],
+    hole: Mask,
+    source: Mask,
+    *,
+    variety: float = 0.0,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]] | None:
     """`image` with each pixel of the hole a copy of one of the source, and which one [h, w]: y * w + x.
 
     None where the source holds no whole patch. Arguments as of `fill_by_example`.
     """
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator(device).manual_seed(seed)
     known = source & ~hole
     levels = 1
     while (
@@ -77,9 +93,10 @@ def copy_patches(
         size = _level_size(hole, level)
         clear = _average_cells(~hole, size)
         means = np.concatenate([_average_cells(part, size) for part in shown], -1)
-        picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None])
+        picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None]).to(device)
         patches = Patches(
-            torch.from_numpy(clear < FULL_COVER), torch.from_numpy(_average_cells(known, size) > FULL_COVER)
+            torch.from_numpy(clear < FULL_COVER).to(device),
+            torch.from_numpy(_average_cells(known, size) > FULL_COVER).to(device),
         )
         if len(patches.examples) == 0:
             continue
@@ -91,8 +108,8 @@ def copy_patches(
         made = patches.vote(picture, origins, generator, everywhere=everywhere)
     if made is None:
         return None
-    picture, origins = made
-    return np.where(hole[..., None], picture[..., :3].numpy(), image).astype(np.float32), origins.numpy()
+    picture, origins = (part.cpu().numpy() for part in made)
+    return np.where(hole[..., None], picture[..., :3], image).astype(np.float32), origins
 
 
 def blend_copies(picture: NDArray[np.float32], origins: NDArray[np.int64], hole: Mask) -> NDArray[np.float32]:
@@ -132,12 +149,12 @@ class Patches:
         self.usable = F.max_pool2d(beyond, PATCH, 1).flatten() == 0
         usable = torch.nonzero(self.usable)[:, 0]
         count = min(MAX_EXAMPLES, len(usable))
-        self.examples = usable[torch.arange(count) * len(usable) // max(1, count)]
+        self.examples = usable[torch.arange(count, device=hole.device) * len(usable) // max(1, count)]
         self.touching = torch.nonzero(_grow(hole, PATCH).flatten())[:, 0]
         self.inside = torch.nonzero(hole.flatten())[:, 0]
-        self.themselves = torch.arange(hole.numel()).view_as(hole)
-        depth = cv2.distanceTransform(hole.numpy().astype(np.uint8), cv2.DIST_L2, 3)
-        self.trust = DEPTH_DISCOUNT ** -torch.from_numpy(depth).flatten()[self.touching]
+        self.themselves = torch.arange(hole.numel(), device=hole.device).view_as(hole)
+        depth = cv2.distanceTransform(hole.cpu().numpy().astype(np.uint8), cv2.DIST_L2, 3)
+        self.trust = DEPTH_DISCOUNT ** -torch.from_numpy(depth).to(hole.device).flatten()[self.touching]
 
     def find_nearest(
         self,
@@ -163,7 +180,8 @@ class Patches:
             own = squares.sum(1)[None] if valid is None else w @ squares.T
             apart = own - 2 * q @ examples.T + q.square().sum(1, keepdim=True)
             if variety:
-                apart = apart.clamp(min=0) * (1 + variety * torch.rand(apart.shape, generator=generator))
+                chance = torch.rand(apart.shape, generator=generator, device=apart.device)
+                apart = apart.clamp(min=0) * (1 + variety * chance)
             cost, index = apart.min(1)
             found.append(self.examples[index])
             costs.append(cost.clamp(min=0) / w.sum(1).clamp(min=1))
@@ -180,11 +198,11 @@ class Patches:
         height, width = self.hole.shape
         y, x = self.touching // width, self.touching % width
         best = self.touching.clone()
-        least = torch.full((len(best),), torch.inf)
+        least = torch.full((len(best),), torch.inf, device=best.device)
         for dy, dx in torch.cartesian_prod(torch.arange(-1, 2), torch.arange(-1, 2)):
             near_y, near_x = (y + dy).clamp(0, height - 1), (x + dx).clamp(0, width - 1)
             origin = origins[near_y, near_x]
-            for aside in (torch.zeros(2, len(y), dtype=torch.long), _draw_steps(len(y), generator)):
+            for aside in (torch.zeros(2, len(y), dtype=torch.long, device=y.device), _draw_steps(len(y), generator)):
                 from_y = origin // width - (near_y - y) + aside[0]
                 from_x = origin % width - (near_x - x) + aside[1]
                 inside = (from_y >= 0) & (from_y < height) & (from_x >= 0) & (from_x < width)
@@ -229,7 +247,8 @@ class Patches:
     def carry_up(self, picture: Picture, coarse: Picture, coarse_origins: Origins) -> tuple[Picture, Origins]:
         """A finer level's first guess: each pixel a copy of what lies where its coarse pixel came from; and whence."""
         (h, w), (ch, cw) = self.hole.shape, coarse_origins.shape
-        y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
+        rows, columns = (torch.arange(count, device=picture.device) for count in (h, w))
+        y, x = torch.meshgrid(rows, columns, indexing="ij")
         cy, cx = y * ch // h, x * cw // w
         origin = coarse_origins[cy, cx]
         there_y = (origin // cw * h // ch + y - cy * h // ch).clamp(0, h - 1)
@@ -271,7 +290,7 @@ FULL_COVER = 0.999
 
 
 def _draw_steps(count: int, generator: torch.Generator) -> Int64[Tensor, "2 n"]:
-    return torch.randint(-1, 2, (2, count), generator=generator)
+    return torch.randint(-1, 2, (2, count), generator=generator, device=generator.device)
 
 
 def _mean_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:

@@ -5,6 +5,7 @@ colours in the view that misses most of it, and both are carried to the others, 
 radiance fields does (Mirzaei et al. 2023, arXiv:2304.09677), until nothing is left.
 """
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,18 +13,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.contracts.models.artifacts import Contradiction
 from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_CODES
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.radiance.appearance import AppearanceMap
+from inpaint3d.scene.cameras import measure_apart
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.membrane import span_membrane
 from inpaint3d.scene.morphology import grow, grow_square, label_parts
+from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
 from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, enlarge_depth, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.example import fill_by_example
-from inpaint3d.stages.view_completion.membrane import span_membrane
 from inpaint3d.stages.view_completion.surfaces import Plane, fit_planes, snap_to_planes
 
 REACH = 1.8
@@ -41,14 +45,6 @@ PAINTED, EXAMPLE, SMOOTH = (SOURCE_CODES[name] for name in ("painted", "example"
 
 Sources = NDArray[np.uint16]
 Tick = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Painting:
-    """What somebody painted into a view: picture [h, w, 3] in the view's own exposure, mask [h, w] where."""
-
-    picture: Image
-    mask: Mask
 
 
 @dataclass(frozen=True)
@@ -76,7 +72,8 @@ class Draft:
     """A view on its way: picture [h, w, 3] in the mean appearance, 0 where `missing`; sources [h, w] of what is filled.
 
     unsure: cells of `coarse` whose surface no photo shows; its depth says nothing there until they are settled. flat:
-    the planes of the scene, which depths keep to.
+    the planes of the scene, which depths keep to. copies: pixel (x, y) [h, w, 2] that each was copied from by example,
+    -1 elsewhere; None where nothing was.
     """
 
     index: int
@@ -87,6 +84,7 @@ class Draft:
     unsure: Mask
     sources: Sources
     flat: Flat
+    copies: NDArray[np.float32] | None = None
 
     @cached_property
     def depth(self) -> NDArray[np.float64]:
@@ -110,6 +108,15 @@ class Draft:
         self.sources = np.where(where, sources, self.sources).astype(np.uint16)
         self.missing = self.missing & ~where
 
+    def note_copies(self, where: Mask, origins: NDArray[np.int64], box: tuple[slice, slice]) -> None:
+        """Remember what `where` [h, w] was copied from: `origins`, y * width + x of the pixels of `box`."""
+        rows, columns = box
+        width = origins.shape[1]
+        place = np.full((*where.shape, 2), -1, np.float32)
+        place[box] = np.stack([origins % width + columns.start, origins // width + rows.start], -1)
+        before = np.full_like(place, -1) if self.copies is None else self.copies
+        self.copies = np.where(where[..., None], place, before).astype(np.float32)
+
     def settle(self, where: Mask, depth: NDArray[np.floating]) -> None:
         """Take the surface of the unsure cells `where` from `depth`, z [h, w] of the cells."""
         self.coarse = replace(self.coarse, depth=np.where(where, depth, self.coarse.depth).astype(np.float32))
@@ -126,13 +133,15 @@ def complete_from_photos(
     *,
     seed: int,
     paintings: Mapping[str, Painting] | None = None,
+    device: str = "cpu",
     tick: Tick | None = None,
-) -> tuple[list[Completion], str, list[str]]:
-    """Each view with nothing missing, how they came about in words, and the views in which something was made up.
+) -> tuple[list[Completion], str, list[str], list[Contradiction]]:
+    """Each view with nothing missing, how they came about in words, the views in which something was made up, and how
+    paintings contradict each other.
 
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
-    alone. points: sparse points [n, 3] that no mask covers, scene units. paintings: by view, first those that count
-    more; each is taken before anything else is made up.
+    alone. points: sparse points [n, 3] that no mask covers, scene units. paintings: by view, of its size; each counts
+    in its own view, and elsewhere the one from nearest. device: where patches are compared.
     """
     say = tick or _ignore
     steps = len(views) + method.max_reference_views + len(paintings or {}) + 1
@@ -143,11 +152,15 @@ def complete_from_photos(
     ]
     _recover_all(drafts, method.min_supporting_views, lambda done, message: say(done, steps, message))
     unknown = sum(int(d.missing.sum()) for d in drafts) / max(1, sum(int(v.hole.sum()) for v in views))
-    by_name = {d.view.name: d for d in drafts}
-    for count, (name, painting) in enumerate((paintings or {}).items()):
-        say(len(views) + count, steps, f"carrying what was painted in {name}")
-        _take_painting(by_name[name], painting, appearance)
-        _carry_to_others(by_name[name], drafts)
+    painted = [d for d in drafts if d.view.name in (paintings or {})]
+    for draft in painted:
+        _take_painting(draft, (paintings or {})[draft.view.name], appearance)
+    contradictions = find_contradictions(painted)
+    for count, draft in enumerate(drafts if painted else ()):
+        say(len(views) + min(count, len(painted) - 1), steps, f"carrying what was painted to {draft.view.name}")
+        for reference in sorted(painted, key=lambda p: measure_apart(p.view.camera, draft.view.camera)):
+            if reference is not draft:
+                _carry(reference, draft)
     references: list[str] = []
     while len(references) < method.max_reference_views:
         reference = max(drafts, key=lambda d: int(d.gaps.sum()))
@@ -156,13 +169,15 @@ def complete_from_photos(
         references.append(reference.view.name)
         say(steps - 1 - method.max_reference_views + len(references), steps, f"making up {reference.view.name}")
         _span_unsure(reference)
-        _fill_gaps(reference, method.variety, seed)
+        _fill_gaps(reference, method.variety, seed, device)
         _carry_to_others(reference, drafts)
     for draft in drafts:
         _span_unsure(draft)
         draft.fill(draft.missing, fill_telea(draft.picture, draft.missing), SMOOTH)
-    made = [Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth) for d in drafts]
-    return made, _describe(unknown, list(paintings or {}), references), references
+    made = [
+        Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth, d.copies) for d in drafts
+    ]
+    return made, _describe(unknown, list(paintings or {}), references), references, contradictions
 
 
 def _ignore(done: int, total: int, message: str) -> None:
@@ -255,20 +270,44 @@ def _find_surely_known(draft: Draft, xy: NDArray[np.float64], z: NDArray[np.floa
 
 
 def _span_unsure(draft: Draft) -> None:
-    """Give the unsure cells the surface that is spanned between the sure ones around them."""
-    if draft.unsure.any():
+    """Give the unsure cells the surface that is spanned between the sure ones around them.
+
+    Where a view has no sure cell there is nothing to span: the field's own surface stays.
+    """
+    if draft.unsure.all():
+        draft.settle(draft.unsure, draft.coarse.depth)
+    elif draft.unsure.any():
         spanned = replace(draft.coarse, depth=1 / span_membrane(1 / draft.coarse.depth, ~draft.unsure))
         draft.settle(draft.unsure, draft.flat.snap(spanned, SPANNED_REACH).depth)
 
 
 def _take_painting(draft: Draft, painting: Painting, appearance: AppearanceMap) -> None:
-    """What was painted counts in the whole hole, also where other photos show something."""
+    """What was painted counts wherever it was, also where other photos show something."""
     _span_unsure(draft)
     painted = appearance.to_mean(painting.picture, draft.index)
-    draft.fill(painting.mask & draft.view.hole & (draft.sources != PAINTED), painted, PAINTED)
+    draft.fill(painting.mask & draft.view.hole, painted, PAINTED)
 
 
-def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
+def find_contradictions(painted: Sequence[Draft]) -> list[Contradiction]:
+    """For each pair of painted views that paint the same surfaces, how differently they do."""
+    found: list[Contradiction] = []
+    for one, other in itertools.combinations(painted, 2):
+        own = one.sources == PAINTED
+        xy, seen = correspondences(one.view.camera, one.depth, other.view.camera, other.depth)
+        both = own & seen & (_trace_sources(other, xy, seen) == PAINTED)
+        if both.any():
+            apart = np.abs(one.picture[both] - sample_bilinear(other.picture, xy[both]))
+            found.append(
+                Contradiction(
+                    names=(one.view.name, other.view.name),
+                    shared=round(float(both.sum() / own.sum()), 6),
+                    difference=round(min(1.0, float(apart.mean())), 6),
+                )
+            )
+    return found
+
+
+def _fill_gaps(draft: Draft, variety: float, seed: int, device: str) -> None:
     """Close the cracks, then fill each gap by example from the surfaces around it."""
     gaps = draft.gaps
     cracks = draft.missing & ~grow(gaps, 1)
@@ -285,7 +324,11 @@ def _fill_gaps(draft: Draft, variety: float, seed: int) -> None:
         box = (rows, columns)
         colours = draft.picture.copy()
         blank = draft.missing | ~(draft.view.known | draft.view.hole)
-        colours[box] = fill_by_example(draft.picture[box], blank[box], source[box], variety=variety, seed=seed)
+        colours[box], origins = fill_by_example(
+            draft.picture[box], blank[box], source[box], variety=variety, seed=seed, device=device
+        )
+        if origins is not None:
+            draft.note_copies(gap, origins, box)
         draft.fill(gap, colours, EXAMPLE)
 
 

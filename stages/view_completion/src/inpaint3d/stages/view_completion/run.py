@@ -1,22 +1,33 @@
 """Every training view with its hole filled, before a field is fitted to them."""
 
+from collections.abc import Mapping, Sequence
+
 import torch
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
-from inpaint3d.contracts.models.artifacts import EffectPlan, MaskSet, PaintedViews, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import (
+    Contradiction,
+    EffectPlan,
+    MaskSet,
+    PaintedViews,
+    PosedCapture,
+    RadianceFieldArtifact,
+)
+from inpaint3d.contracts.models.artifacts import Painting as PaintingRecord
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.diffusion.loading import load_denoiser
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
-from inpaint3d.scene.image_io import read_image, read_mask
 from inpaint3d.scene.masked_views import MaskedView, find_fillable, load_masked_scene
+from inpaint3d.scene.paintings import Painting, read_painting, reduce_painting
+from inpaint3d.scene.plausibility import CompletedHole, doubt_completion, measure_completions
 from inpaint3d.scene.visibility import load_depth_maps, shrink_holes
 from inpaint3d.stages.view_completion.classical import complete_classically
 from inpaint3d.stages.view_completion.completion import Completion, write_completions
 from inpaint3d.stages.view_completion.config import Classical, Config, PhotoCompletion, PriorSamples
-from inpaint3d.stages.view_completion.photo_completion import Painting, complete_from_photos
+from inpaint3d.stages.view_completion.photo_completion import complete_from_photos
 from inpaint3d.stages.view_completion.prior_samples import complete_by_samples
 
 Views = tuple[MaskedView, ...]
@@ -33,16 +44,23 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
             "author another mask"
         )
     references: list[str] = []
+    paintings: dict[str, Painting] = {}
+    contradictions: list[Contradiction] = []
     match config.method:
         case PhotoCompletion() as method:
-            made, summary, references = complete_from_photos(
+            paintings = load_paintings(inputs.optional("painted-views", PaintedViews), scene.train)
+            for name, painting in paintings.items():
+                if painting.ignored:
+                    ctx.log(f"{name}: {painting.ignored:.1%} of what was painted lies outside the mask, and is ignored")
+            made, summary, references, contradictions = complete_from_photos(
                 scene.train,
                 load_depth_maps(scene.train, field),
                 scene.points,
                 AppearanceMap(_load_appearance(field, inputs)),
                 method,
                 seed=ctx.seed,
-                paintings=load_paintings(inputs.optional("painted-views", PaintedViews), scene.train),
+                paintings=paintings,
+                device=ctx.device,
                 tick=ctx.progress,
             )
         case Classical():
@@ -50,10 +68,22 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
             made, summary = complete_classically(scene.train), "every view on its own, by Telea's method"
         case PriorSamples() as method:
             made, summary = _sample(method, scene.train, field, inputs, ctx)
+    for doubt in doubt_completion(measure_completions(_holes(made, scene.train))):
+        ctx.doubt(doubt)
     folder = outputs.folder("completed-views")
     metadata = write_completions(folder, made, method=config.method.name, summary=summary, reference_views=references)
-    outputs.write("completed-views", metadata)
+    found = {"paintings": _describe_paintings(paintings, scene.train), "contradictions": tuple(contradictions)}
+    outputs.write("completed-views", metadata.model_copy(update=found))
     ctx.progress(1, 1, "completed")
+
+
+def _holes(made: Sequence[Completion], views: Views) -> list[CompletedHole]:
+    cameras = {view.name: view.camera for view in views}
+    return [
+        CompletedHole.of(cameras[one.name], one.picture, one.depth, one.sources > 0)
+        for one in made
+        if one.depth is not None
+    ]
 
 
 def _load_appearance(field: Artifact[RadianceFieldArtifact], inputs: Inputs) -> RadianceField | None:
@@ -64,8 +94,8 @@ def _load_appearance(field: Artifact[RadianceFieldArtifact], inputs: Inputs) -> 
 
 
 def load_paintings(painted: Artifact[PaintedViews] | None, views: Views) -> dict[str, Painting]:
-    """What somebody painted, by view, in the artifact's order. BadInputError for a view that is not of this capture, or
-    a picture of another size.
+    """What somebody painted, by view, at the views' size. BadInputError for a view that is not of this capture, or a
+    picture of another shape.
     """
     if painted is None:
         return {}
@@ -77,14 +107,20 @@ def load_paintings(painted: Artifact[PaintedViews] | None, views: Views) -> dict
                 f"painted view {one.name} is no training view of this capture; there are {', '.join(by_name)}"
             )
         size = (view.camera.width, view.camera.height)
-        picture = read_image(painted.path(one.picture))
-        if picture.shape[1::-1] != size:
-            raise BadInputError(
-                f"painted view {one.name} is {picture.shape[1]}x{picture.shape[0]} but the view is "
-                f"{size[0]}x{size[1]}; paint on the picture that was exported"
-            )
-        paintings[one.name] = Painting(picture, read_mask(painted.path(one.mask), size))
+        paintings[one.name] = reduce_painting(read_painting(painted, one), one.name, *size)
     return paintings
+
+
+def _describe_paintings(paintings: Mapping[str, Painting], views: Views) -> tuple[PaintingRecord, ...]:
+    holes = {v.name: v.hole for v in views}
+    return tuple(
+        PaintingRecord(
+            name=name,
+            painted=round(float((p.mask & holes[name]).sum() / max(1, holes[name].sum())), 6),
+            ignored=round(p.ignored, 6),
+        )
+        for name, p in paintings.items()
+    )
 
 
 def _sample(

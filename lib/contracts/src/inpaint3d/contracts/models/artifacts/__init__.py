@@ -4,12 +4,27 @@ The metadata names the files that hold the bulk; file layouts are described in e
 """
 
 from inpaint3d.contracts.models.artifacts.capture import Capture, CapturedFrame, Exif, KnownCamera, Truth
-from inpaint3d.contracts.models.artifacts.completion import CompletedView, CompletedViews, PaintedView, PaintedViews
+from inpaint3d.contracts.models.artifacts.completion import (
+    CompletedView,
+    CompletedViews,
+    Contradiction,
+    PaintedView,
+    PaintedViews,
+    Painting,
+)
 from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan
 from inpaint3d.contracts.models.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
 from inpaint3d.contracts.models.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
 from inpaint3d.contracts.models.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
-from inpaint3d.contracts.models.artifacts.posed import LensModel, PosedCapture, PosedFrame, PosedTruth, Registration
+from inpaint3d.contracts.models.artifacts.plates import Canvas, CleanPlate, CleanPlates, PlateConsistency
+from inpaint3d.contracts.models.artifacts.posed import (
+    LensModel,
+    MetricScale,
+    PosedCapture,
+    PosedFrame,
+    PosedTruth,
+    Registration,
+)
 from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
 from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, Protocol, UsdScene
 from inpaint3d.contracts.models.base import Closed
@@ -29,6 +44,7 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "diffusion-prior": ("1.0", DiffusionPrior),
     "painted-views": ("1.0", PaintedViews),
     "completed-views": ("1.0", CompletedViews),
+    "clean-plates": ("1.0", CleanPlates),
     "evaluation": ("1.0", Evaluation),
     "usd-scene": ("1.0", UsdScene),
 }
@@ -36,10 +52,14 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
 
 __all__ = [
     "SCHEMAS",
+    "Canvas",
     "Capture",
     "CapturedFrame",
+    "CleanPlate",
+    "CleanPlates",
     "CompletedView",
     "CompletedViews",
+    "Contradiction",
     "DiffusersPipeline",
     "DiffusionPrior",
     "Effect",
@@ -57,8 +77,11 @@ __all__ = [
     "MaskSet",
     "MaskView",
     "Metric",
+    "MetricScale",
     "PaintedView",
     "PaintedViews",
+    "Painting",
+    "PlateConsistency",
     "PosedCapture",
     "PosedFrame",
     "PosedTruth",

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath
+from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath, Vector3
 
 # What photographers deliver and the wheel of OpenImageIO reads.
 PICTURE_SUFFIXES = frozenset(
@@ -29,12 +29,16 @@ class Exif(Closed):
     iso: Positive | None = None
     f_number: Positive | None = None
     camera: str | None = Field(default=None, description="make and model")
+    position: Vector3 | None = Field(default=None, description="by GPS: latitude, longitude in degrees, altitude in m")
 
 
 class KnownCamera(Closed):
     """A camera that came with the data set, in the data set's own world; params in COLMAP's order for the model."""
 
-    model: Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
+    model: Literal[
+        "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV",
+        "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
+    ]  # fmt: skip
     params: tuple[Finite, ...]
     world_from_cam: Pose
 
@@ -47,10 +51,20 @@ class CapturedFrame(Closed):
 
     name: FrameName
     path: RelativePath = Field(description="frames/NAME.jpg or .png")
+    original: RelativePath | None = Field(
+        default=None,
+        description="originals/NAME.SUFFIX: the photo as it was given, byte for byte, where the frame is not that file "
+        "already (more bits, another profile, a turn by EXIF, alpha); None where it is, or where there was no file",
+    )
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
     exif: Exif = Exif()
     camera: KnownCamera | None = None
+    other_pose: Pose | None = Field(
+        default=None,
+        description="the camera's pose where cameras without names follow the pictures' names as numbers, not as text; "
+        "pose-estimation takes the order that the pictures support",
+    )
     mask: RelativePath | None = Field(
         default=None, description="masks/NAME.png, 8-bit, > 127 inside the hole, same size as the frame"
     )

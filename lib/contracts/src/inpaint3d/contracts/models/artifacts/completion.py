@@ -28,7 +28,30 @@ class CompletedView(Closed):
         description="depth/NAME.exr: depth.Z along the axis with the hole's surface completed, scene units, at the "
         "size of the field's renders; None where the method makes no surface",
     )
+    copies: RelativePath | None = Field(
+        default=None,
+        description="copies/NAME.exr: copied.X, copied.Y, for pixels filled by example in this very view the pixel "
+        "that they were copied from (whole numbers), -1 elsewhere; None where it is no reference view",
+    )
     shares: dict[Origin, Share] = Field(default={}, description="of the pixels that were filled, by source")
+
+
+class Painting(Closed):
+    """What came of a painted view."""
+
+    name: FrameName
+    painted: Share = Field(description="of the hole, where the picture that was painted differs from the one asked for")
+    ignored: Share = Field(description="of the pixels that were painted, those outside the mask: not looked at")
+
+
+class Contradiction(Closed):
+    """Two painted views of the same surfaces."""
+
+    names: tuple[FrameName, FrameName]
+    shared: Share = Field(description="of the painted pixels of the first, those whose surface the second paints too")
+    difference: Share = Field(
+        description="mean absolute difference of sRGB-encoded colours there, exposures evened out"
+    )
 
 
 class CompletedViews(Closed):
@@ -40,17 +63,20 @@ class CompletedViews(Closed):
     reference_views: tuple[FrameName, ...] = Field(
         default=(), description="views in which what no photo shows was made up, in this order"
     )
+    paintings: tuple[Painting, ...] = Field(default=(), description="what was painted, as the artifact had it")
+    contradictions: tuple[Contradiction, ...] = ()
 
 
 class PaintedView(Closed):
-    """A view that somebody painted in, of the posed frame's size."""
+    """A view that somebody painted in: undistorted, of the photo's size, as it was asked for."""
 
     name: FrameName
-    picture: RelativePath = Field(description="pictures/NAME.png: 8-bit sRGB")
-    mask: RelativePath = Field(description="masks/NAME.png: 8-bit, above 127 where it was painted")
+    picture: RelativePath = Field(description="pictures/NAME.SUFFIX: as it was painted; 8 or 16 bits, or float")
+    mask: RelativePath = Field(description="masks/NAME.png: 8-bit, above 127 where it may be painted")
+    asked: RelativePath | None = Field(default=None, description="asked/NAME.png: the picture before it was painted in")
 
 
 class PaintedViews(Closed):
-    """Views that somebody painted in, first those that count more where they contradict each other."""
+    """Views that somebody painted in; where they contradict each other, the nearest one to a view counts there."""
 
     views: tuple[PaintedView, ...]

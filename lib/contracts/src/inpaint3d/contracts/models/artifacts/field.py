@@ -82,3 +82,8 @@ class RadianceFieldArtifact(Closed):
         default={}, description="effects decided here (those that need the mask), with reasons"
     )
     non_finite: dict[str, int] = Field(default={}, description="non-finite values met, by place; empty = none")
+    health: dict[str, Finite] = Field(
+        default={},
+        description="counters of the fit: gradient_norm_largest and _last, density_at_ceiling and colour_saturated "
+        "(largest shares of samples), rollbacks to the last checkpoint",
+    )

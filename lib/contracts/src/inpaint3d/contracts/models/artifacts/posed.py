@@ -8,7 +8,7 @@ from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Pos
 
 
 class LensModel(Closed):
-    """The lens effect that pose estimation decided: COLMAP model name and parameters at the captured size."""
+    """A lens as pose estimation decided it: COLMAP model name and parameters at the captured size."""
 
     model: str
     params: tuple[Finite, ...]
@@ -28,6 +28,9 @@ class PosedFrame(Closed):
     cy: Finite
     world_from_cam: Pose
     split: Literal["train", "test"] = "train"
+    lens: LensModel | None = Field(
+        default=None, description="the lens that took the captured frame, where it is not the capture's"
+    )
     relative_exposure: Positive | None = Field(
         default=None, description="EXIF exposure_s * iso / f_number^2 over the median of the capture"
     )
@@ -45,8 +48,19 @@ class Registration(Closed):
     registered: int
     unregistered: tuple[FrameName, ...] = ()
     mean_reprojection_error_px: Finite
+    agreement: Share | None = Field(
+        default=None, description="share of the verified matches between its views that agree with the cameras"
+    )
     points: int
     median_triangulation_angle_deg: Finite
+
+
+class MetricScale(Closed):
+    """How long a scene unit is."""
+
+    metres_per_unit: Positive
+    uncertainty: Positive = Field(description="one standard deviation, as a share of the scale")
+    evidence: str
 
 
 class PosedCapture(Closed):
@@ -64,6 +78,7 @@ class PosedCapture(Closed):
     lens: LensModel
     registration: Registration
     source_from_normalised_scale: Positive = Field(description="length of one scene unit in the source's units")
+    scale: MetricScale | None = Field(default=None, description="of the normalised world; None: nothing tells")
     source_from_normalised: Pose = Field(description="similarity: source = M[:, :3] @ normalised + M[:, 3]")
     centre_depth: Positive = Field(description="median distance of cameras to the point of interest, scene units")
     up_evidence: str

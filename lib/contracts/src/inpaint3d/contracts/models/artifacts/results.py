@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from inpaint3d.contracts.models.base import Closed, Finite, RelativePath, Vector3
+from inpaint3d.contracts.models.base import Closed, Finite, Positive, RelativePath, Vector3
 
 
 class Metric(Closed):
@@ -27,8 +27,8 @@ class Protocol(Closed):
 class Evaluation(Closed):
     """Figures by protocol; `per_view.csv`, `pictures/`, and a self-contained `report.html`.
 
-    The report has one line `<!-- inpaint3d:run -->` where the orchestrator puts the run's times, which are
-    not part of the artifact.
+    The report has a line `<!-- inpaint3d:doubts -->` and a line `<!-- inpaint3d:run -->` where the orchestrator puts
+    why the run's results cannot be right, and its times, which are not part of the artifact.
     """
 
     protocols: tuple[Protocol, ...]
@@ -49,6 +49,9 @@ class UsdScene(Closed):
     variants: tuple[str, ...] = Field(default=(), description="e.g. 'inpainted', 'original', 'mask'")
     bounds_min: Vector3
     bounds_max: Vector3
-    metres_per_unit: float = Field(default=1.0, description="scene units are not metric unless the source was")
+    metres_per_unit: Positive | None = Field(
+        default=None,
+        description="of a scene unit; None: unknown, and the layer's metersPerUnit of 1 means nothing",
+    )
     validation: RelativePath = "validation.json"
     validation_errors: int

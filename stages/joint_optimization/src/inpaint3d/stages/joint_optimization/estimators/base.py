@@ -83,6 +83,9 @@ class Estimator(Closed):
 class Guided(Estimator):
     """An estimator whose guide pulls rendered windows of the hole."""
 
+    needs_surround: ClassVar[bool] = False
+    """Whether a window without any known pixel says nothing to the guide."""
+
     distill_every: Count = Field(default=2, description="steps from one window to the next; 1 in the paper")
     weight: Positive = Field(default=0.1, description="peak weight of the distillation term (S6)")
     weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
@@ -119,6 +122,8 @@ class Narrowing(Closed):
 
 class HoleFilling(Guided):
     """An estimator that fills the hole itself, where other views do not show what is behind it."""
+
+    needs_surround: ClassVar[bool] = True
 
     hole: Literal["as-masked", "unseen"] = Field(
         default="unseen",

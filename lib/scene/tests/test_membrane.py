@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inpaint3d.stages.view_completion.membrane import span_membrane
+from inpaint3d.scene.membrane import span_membrane
 
 Y, X = np.mgrid[:120, :160].astype(np.float64)
 KNOWN = (X - 80) ** 2 + (Y - 60) ** 2 > 45**2

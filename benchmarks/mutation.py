@@ -1,0 +1,253 @@
+"""Guards taken out one at a time, and whether the related tests notice: `make mutation`.
+
+Guards are found by patterns over the syntax tree (`find_mutants`), and listed by hand where none fits. Each mutant is a
+copy of one package's sources with one change; the related tests run on it in a process of its own until one fails.
+"""
+
+import argparse
+import ast
+import itertools
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+RADIANCE, DIFFUSION, SCENE = (f"lib/{n}/src/inpaint3d/{n}" for n in ("radiance", "diffusion", "scene"))
+EVALUATION, POSES, EXPORT = (
+    f"stages/{n}/src/inpaint3d/stages/{n}" for n in ("evaluation", "pose_estimation", "usd_export")
+)
+STABILITY = "tests/stability"
+
+# Source -> the tests that are about it, the quickest first.
+RELATED = {
+    f"{RADIANCE}/volume.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_volume.py"],
+    f"{RADIANCE}/safe.py": [
+        f"{STABILITY}/test_rendering.py", f"{STABILITY}/test_fields.py", "lib/radiance/tests/test_safe.py",
+    ],
+    f"{RADIANCE}/spacing.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_spacing.py"],
+    f"{RADIANCE}/losses.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_losses.py"],
+    f"{RADIANCE}/line_of_sight.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_line_of_sight.py"],
+    f"{RADIANCE}/backends/reference.py": [
+        f"{STABILITY}/test_rendering.py", f"{STABILITY}/test_fields.py", "lib/radiance/tests/test_reference.py",
+    ],
+    f"{RADIANCE}/optim.py": [f"{STABILITY}/test_rendering.py"],
+    f"{RADIANCE}/training.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_training.py"],
+    f"{RADIANCE}/io.py": [f"{STABILITY}/test_fields.py"],
+    f"{RADIANCE}/checkpoints.py": [f"{STABILITY}/test_fields.py"],
+    f"{RADIANCE}/artifact.py": [f"{STABILITY}/test_fields.py"],
+    f"{RADIANCE}/sizing.py": [f"{STABILITY}/test_fields.py"],
+    f"{RADIANCE}/health.py": [f"{STABILITY}/test_fields.py"],
+    f"{DIFFUSION}/schedules.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_schedules.py"],
+    f"{DIFFUSION}/samplers.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_samplers.py"],
+    f"{DIFFUSION}/distillation.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_distillation.py"],
+    f"{DIFFUSION}/fill.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_fill.py"],
+    f"{DIFFUSION}/judging.py": [f"{STABILITY}/test_diffusion.py"],
+    f"{SCENE}/windows.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_windows.py"],
+    f"{SCENE}/geometry.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_geometry.py"],
+    f"{SCENE}/reprojection.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_reprojection.py"],
+    f"{SCENE}/normals.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_normals.py"],
+    f"{SCENE}/finite.py": [f"{STABILITY}/test_files.py"],
+    f"{SCENE}/image_io.py": [f"{STABILITY}/test_files.py"],
+    f"{SCENE}/capture_io.py": [f"{STABILITY}/test_files.py"],
+    f"{EVALUATION}/metrics.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_metrics.py"],
+    f"{EVALUATION}/frechet.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_frechet.py"],
+    f"{POSES}/normalise.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_normalise.py"],
+    f"{POSES}/model.py": [f"{STABILITY}/test_geometry.py"],
+    f"{EXPORT}/mesh.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
+}  # fmt: skip
+# Where every guard that a pattern finds is taken out; elsewhere those that are listed by hand.
+BY_PATTERN = [
+    f"{RADIANCE}/volume.py", f"{RADIANCE}/safe.py", f"{RADIANCE}/losses.py", f"{RADIANCE}/line_of_sight.py",
+    f"{RADIANCE}/optim.py", f"{RADIANCE}/io.py", f"{RADIANCE}/checkpoints.py", f"{RADIANCE}/sizing.py",
+    f"{RADIANCE}/training.py", f"{DIFFUSION}/schedules.py", f"{DIFFUSION}/samplers.py", f"{DIFFUSION}/fill.py",
+    f"{DIFFUSION}/distillation.py", f"{EVALUATION}/metrics.py", f"{EVALUATION}/frechet.py",
+    f"{SCENE}/finite.py",
+]  # fmt: skip
+# fmt: off
+BY_HAND = [
+    (f"{RADIANCE}/volume.py", "F.pad(torch.cumsum(optical_depth[..., :-1], -1), (1, 0))", "torch.cumsum(optical_depth, -1) - optical_depth"),
+    (f"{RADIANCE}/volume.py", "reached[:, -1] <= smallest, far, (low + share * (high - low))[:, 0]", "reached[:, -1] > smallest, (low + share * (high - low))[:, 0], far"),
+    (f"{RADIANCE}/safe.py", "return grads[0] * value\n", "return grads[0] * value * (value < 3e6)\n"),
+    (f"{RADIANCE}/safe.py", "x / largest).square()", "x / 1).square()"),
+    (f"{RADIANCE}/losses.py", "torch.hypot(residual, residual.new_tensor(eps))", "torch.sqrt(residual.square() + eps**2)"),
+    (f"{RADIANCE}/spacing.py", "1 / ((1 - sdist) / (1 + self.near) + sdist / (1 + self.far)) - 1", "1 / (1 / (1 + self.near) - sdist * (1 / (1 + self.near) - 1 / (1 + self.far))) - 1"),
+    (f"{RADIANCE}/spacing.py", "return (p - 1) / p * (premult * x / (1 - p) + 1) ** p", "return (p - 1) / p - (p - 1) / p * (1 - (premult * x / (1 - p) + 1) ** p)"),
+    (f"{RADIANCE}/backends/reference.py", "torch.isfinite(second) & ", ""),
+    (f"{RADIANCE}/backends/reference.py", " & torch.isfinite(to)", ""),
+    (f"{RADIANCE}/backends/reference.py", "mass = weights + torch.finfo(weights.dtype).eps * torch.diff(sdist)", "mass = weights"),
+    (f"{RADIANCE}/backends/reference.py", "torch.where(gap <= 0, 1, gap)", "torch.where(gap > 0, gap, 1)"),
+    (f"{RADIANCE}/backends/reference.py", ".where(low.isfinite(), 0)", ""),
+    (f"{RADIANCE}/backends/reference.py", "(weights + torch.finfo(weights.dtype).eps)", "weights"),
+    (f"{RADIANCE}/backends/reference.py", "safe.sigmoid(logits)", "torch.sigmoid(logits)"),
+    (f"{RADIANCE}/artifact.py", "~np.isfinite(values)", "np.zeros_like(values, bool)"),
+    (f"{RADIANCE}/health.py", "if found := find_non_finite(tensors):", "if found := find_non_finite({}):"),
+    (f"{RADIANCE}/health.py", "if optimizer is not None:\n            tensors", "if False:\n            tensors"),
+    (f"{DIFFUSION}/judging.py", "squared.clamp(min=1e-10)", "squared"),
+    (f"{SCENE}/windows.py", "if side > size and not window.sample(hole).any():", "if False:"),
+    (f"{SCENE}/windows.py", "if not odds.any():", "if False:"),
+    (f"{SCENE}/geometry.py", "if cosine < -1 + 1e-12:", "if False:"),
+    (f"{SCENE}/geometry.py", "perpendicular = offset - along[..., None] * directions", "perpendicular = np.sqrt(np.maximum(np.sum(offset**2, -1) - along**2, 0))[..., None]"),
+    (f"{SCENE}/geometry.py", "np.where(np.isnan(t0) | np.isnan(t1), -np.inf, np.minimum(t0, t1))", "np.minimum(t0, t1)"),
+    (f"{SCENE}/reprojection.py", "surface = np.isfinite(z) & (z > 0)", "surface = z > 0"),
+    (f"{SCENE}/reprojection.py", "surface = np.isfinite(z) & (z > 0)", "surface = np.isfinite(z)"),
+    (f"{SCENE}/normals.py", "depth = np.where(np.isfinite(depth), depth, np.nan)", "depth = np.asarray(depth)"),
+    (f"{SCENE}/normals.py", ", where=length > 0", ""),
+    (f"{SCENE}/image_io.py", "if strange := int((~np.isfinite(grey)).sum()):", "if strange := 0:"),
+    (f"{SCENE}/image_io.py", "if linear:\n        _check_units(colour, path)", "if False:\n        pass"),
+    (f"{SCENE}/image_io.py", "white > MAX_WHITE or ", ""),
+    (f"{SCENE}/image_io.py", " or 0 < brightest < MIN_LIGHT", ""),
+    (f"{SCENE}/image_io.py", "if found := find_non_finite({path.name: image}):", "if found := []:"),
+    (f"{SCENE}/capture_io.py", "if strange := find_non_finite(arrays):", "if strange := []:"),
+    (f"{POSES}/normalise.py", "if distances[farthest] > FAR_CAMERA * usual:", "if False:"),
+    (f"{POSES}/normalise.py", "origin = np.median(centres, 0)", "origin = np.zeros(3)"),
+    (f"{POSES}/model.py", "round_to_digits(pose[:, :3], 1.0)", "round_to_digits(pose[:, :3], np.abs(pose).max())"),
+    (f"{POSES}/model.py", "np.maximum(np.abs(xyz).max(-1, keepdims=True, initial=0.0), 1.0)", "max(np.abs(xyz).max(initial=0.0), 1.0)"),
+    (f"{EXPORT}/mesh.py", ", where=length > 0", ""),
+    (f"{EXPORT}/mesh.py", "1e-9 * np.square(longest)", "1e-9"),
+    (f"{EXPORT}/mesh.py", "inside.size == 0 or inside.min() >= 0 or inside.max() <= 0", "inside.size == 0"),
+]
+# fmt: on
+EXPLAINED = {
+    "volume.py: ((half - before) / within).clamp_(0, 1) -> ((half - before) / within)": (
+        "the search finds the interval that holds the half: only rounding leaves [0, 1], by an ulp"
+    ),
+    "samplers.py: torch.expm1(-h) -> (torch.exp((-h)) - 1)": (
+        "what it multiplies is added to numbers of about 1, whose own rounding is as large as the digits that are lost"
+    ),
+}
+"""Mutant -> why no test can tell it from the original."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A change of one source file: `before` at `offset` becomes `after`."""
+
+    file: str
+    line: int
+    before: str
+    after: str
+    offset: int
+
+    @property
+    def name(self) -> str:
+        return f"{Path(self.file).name}: {self.before.strip()} -> {self.after.strip() or 'nothing'}"
+
+
+def find_mutants() -> list[Mutant]:
+    """All guards: those of the patterns, then those by hand. ValueError where one by hand is no longer in its file."""
+    found = [mutant for file in BY_PATTERN for mutant in _by_pattern(file)]
+    for file, before, after in BY_HAND:
+        text = (ROOT / file).read_text()
+        if (offset := text.find(before)) < 0:
+            raise ValueError(f"{file} no longer has {before!r}; bring the list up to date")
+        found.append(Mutant(file, text.count("\n", 0, offset) + 1, before, after, offset))
+    return found
+
+
+def _by_pattern(file: str) -> Iterator[Mutant]:
+    text = (ROOT / file).read_text()
+    starts = [0, *itertools.accumulate(len(line.encode()) + 1 for line in text.split("\n"))]
+    for node in ast.walk(ast.parse(text)):
+        after = _without_guard(node, text)
+        before = ast.get_source_segment(text, node)
+        if after is None or before is None or not isinstance(node, ast.expr):
+            continue
+        offset = len(text.encode()[: starts[node.lineno - 1] + node.col_offset].decode())
+        yield Mutant(file, node.lineno, before, after, offset)
+
+
+def _without_guard(node: ast.AST, text: str) -> str | None:
+    """What is left of a guarded expression; None for one that is no guard."""
+
+    def source(part: ast.expr) -> str:
+        return f"({ast.get_source_segment(text, part)})"
+
+    if not isinstance(node, ast.Call):
+        return None
+    name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+    constant = [isinstance(a, ast.Constant) for a in node.args]
+    if name in ("clamp", "clamp_") and isinstance(node.func, ast.Attribute):
+        of_module = isinstance(node.func.value, ast.Name) and node.func.value.id == "torch"
+        return source(node.args[0] if of_module else node.func.value)
+    if name == "expm1":
+        return f"(torch.exp({source(node.args[0])}) - 1)"
+    if name == "isfinite":
+        return f"({source(node.args[0])} == {source(node.args[0])})"
+    if name in ("max", "maximum", "min") and len(node.args) == 2 and sum(constant) == 1:
+        return source(node.args[constant.index(False)])
+    if name == "where" and len(node.args) == 3 and sum(constant[1:]) == 1:
+        return source(node.args[1 + constant[1:].index(False)])
+    if name in ("check_answer", "check_finite", "check_finite_weights", "find_non_finite"):
+        return "[]" if name == "find_non_finite" else source(node.args[0])
+    return None
+
+
+def survives(mutant: Mutant) -> tuple[bool, float]:
+    """Whether all related tests pass on the mutant, and after how many seconds that was known."""
+    begun = time.monotonic()
+    source = Path(mutant.file).parts
+    package = Path(*source[: source.index("src") + 1])
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "src"
+        shutil.copytree(ROOT / package, copy)
+        changed = copy / Path(mutant.file).relative_to(package)
+        text = changed.read_text()
+        end = mutant.offset + len(mutant.before)
+        changed.write_text(text[: mutant.offset] + mutant.after + text[end:])
+        child = os.fork()
+        if child == 0:
+            os._exit(_run_tests(copy, RELATED[mutant.file]))
+        _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if code not in (0, 1):
+        raise RuntimeError(f"{mutant.name}: its tests did not run (pytest's exit code {code})")
+    return code == 0, time.monotonic() - begun
+
+
+def _run_tests(sources: Path, tests: list[str]) -> int:
+    import pytest
+
+    os.chdir(ROOT)
+    with Path(os.devnull).open("w") as nothing:
+        os.dup2(nothing.fileno(), 1)
+        os.dup2(nothing.fileno(), 2)
+    sys.path.insert(0, str(sources))
+    if (namespace := sys.modules.get("inpaint3d")) is not None:
+        raise RuntimeError(f"{namespace} was imported before the mutant's sources were in the path")
+    return int(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *tests]))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks/results/mutation.json")
+    parser.add_argument("--only", default="", help="mutants whose name holds this")
+    parser.add_argument("--list", action="store_true", help="name them, run nothing")
+    options = parser.parse_args()
+    mutants = [m for m in find_mutants() if options.only in m.name]
+    if options.list:
+        print("\n".join(f"{m.file}:{m.line} {m.name}" for m in mutants), f"\n{len(mutants)} mutants")
+        return
+    # What every child needs, imported once; nothing of ours.
+    for module in ("numpy", "scipy.ndimage", "torch", "jaxtyping", "beartype", "pytest", "cv2", "OpenImageIO"):
+        __import__(module)
+    rows = []
+    for number, mutant in enumerate(mutants):
+        alive, seconds = survives(mutant)
+        print(
+            f"{number + 1}/{len(mutants)} {'SURVIVED' if alive else 'killed'} {seconds:.0f} s {mutant.name}", flush=True
+        )
+        row = {k: v for k, v in asdict(mutant).items() if k != "offset"} | {"survived": alive}
+        rows.append(row | ({"explanation": EXPLAINED.get(mutant.name, "")} if alive else {}))
+        if not options.only:
+            summary = {"mutants": len(mutants), "run": len(rows), "survived": sum(r["survived"] for r in rows)}
+            options.out.write_text(json.dumps(summary | {"rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
