@@ -4,7 +4,7 @@ import pytest
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.morphology import grow
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
-from inpaint3d.scene.visibility import enlarge_cells, pool_any, shrink_holes
+from inpaint3d.scene.visibility import enlarge_cells, enlarge_depth, pool_any, shrink_holes
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +75,25 @@ def test_cells_are_masked_if_any_pixel_is() -> None:
     back = enlarge_cells(small, mask.shape)
     assert back[3:, 6:].all()
     assert back.sum() == 9
+
+
+@pytest.mark.parametrize("shape", [(12, 16), (30, 41), (90, 121)])
+def test_a_plane_stays_a_plane_when_its_depth_is_enlarged(shape: tuple[int, int]) -> None:
+    def plane(height: int, width: int) -> np.ndarray:
+        y, x = ((np.arange(n) + 0.5) / n for n in (height, width))
+        return 1 / (1.0 + 0.3 * y[:, None] - 0.2 * x[None])
+
+    large = enlarge_depth(plane(12, 16), shape)
+    # The outermost half of a cell has nothing beyond it to go on from.
+    rows, columns = (slice(n // 10, n - n // 10) for n in shape)
+    np.testing.assert_allclose(large[rows, columns], plane(*shape)[rows, columns], rtol=1e-9)
+
+
+def test_no_depth_lies_between_two_surfaces() -> None:
+    """A slanted edge between a near and a far surface is as straight at three times the size, and has two depths."""
+    y, x = np.mgrid[:20, :30]
+    near = x + 0.5 < 8 + 0.5 * (y + 0.5)
+    large = enlarge_depth(np.where(near, 1.0, 2.0), (60, 90))
+    np.testing.assert_allclose(np.minimum(np.abs(large - 1), np.abs(large - 2)), 0, atol=1e-12)
+    ends = (large < 1.5).sum(1) / 3
+    np.testing.assert_allclose(ends, 8 + 0.5 * (np.arange(60) + 0.5) / 3, atol=0.5)

@@ -14,7 +14,7 @@ from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.distil import Distilled, distil
-from inpaint3d.stages.joint_optimization.guidance import PriorGuide
+from inpaint3d.stages.joint_optimization.guidance import PictureGuide, PriorGuide
 from inpaint3d.stages.joint_optimization.schedule import TimestepRange
 from tests.guides import make_prior_guide
 
@@ -191,3 +191,24 @@ def test_renders_for_the_prior_take_the_mean_appearance(
     codes = gradients(field, distilled(field, guide, view).surrogate)[names.index("codes")]
     assert codes.abs().max() > 0
     torch.testing.assert_close(codes, codes[:1].expand_as(codes))
+
+
+def test_what_a_guide_does_not_look_at_is_not_rendered(
+    field: RadianceField, view: MaskedView, room: SyntheticScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Around the hole a completed picture is its own surround: the field's there costs rays and changes nothing."""
+    guide, asked = PictureGuide([room.empty_images[0]], WINDOW.size), []
+    query = field.query
+    monkeypatch.setattr(field, "query", lambda points, *rest: asked.append(len(points)) or query(points, *rest))
+    lean = distil_picture(field, guide, view)
+    assert asked == [lean.rays * SPEC.samples]
+    guide.needs_surround = True
+    whole = distil_picture(field, guide, view)
+    assert sum(asked[1:]) == WINDOW.size**2 * SPEC.samples
+    assert lean.push == whole.push > 0
+    for a, b in zip(gradients(field, lean.surrogate), gradients(field, whole.surrogate), strict=True):
+        assert torch.equal(a, b)
+
+
+def distil_picture(field: RadianceField, guide: PictureGuide, view: MaskedView) -> Distilled:
+    return distil(field, guide, view, WINDOW, timesteps=TIMES, specular_scale=1.0, block=4096, generator=generator())

@@ -41,7 +41,9 @@ def error(room: SyntheticScene, pictures: list[np.ndarray]) -> float:
 def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
     """With the true depth behind the ball the pictures come far nearer to the empty room than a smooth filling."""
     views = views_of(large)
-    made, words, references, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, words, references, _ = complete_from_photos(
+        views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0
+    )
     pictures = [one.picture for one in made]
     smooth = [fill_telea(v.image, v.hole) for v in views]
     assert error(large, pictures) < 0.6 * error(large, smooth)
@@ -54,7 +56,7 @@ def test_what_others_show_is_recovered_as_it_is(large: SyntheticScene) -> None:
 def test_what_is_made_up_is_the_same_from_every_view(large: SyntheticScene) -> None:
     """A point of the floor under the ball has one colour, however many views it is seen from."""
     views = views_of(large)
-    made, _, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
     pictures = [one.picture for one in made]
     smooth = [fill_telea(v.image, v.hole) for v in views]
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -82,7 +84,7 @@ def test_a_surface_that_no_photo_shows_is_spanned_and_carried(large: SyntheticSc
         under_the_ball = hole & (np.hypot(points[..., 0], points[..., 1]) < 0.2)
         assert under_the_ball.any()
         lost[name] = np.where(under_the_ball, 0.4 * depth, depth).astype(np.float32)
-    made, _, _, _ = complete_from_photos(views, lost, NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, lost, large.points.xyz, NO_CODES, THREE, seed=0)
     for view, one, depth in zip(views, made, large.empty_depths, strict=True):
         assert one.depth is not None
         wrong = np.abs(lost[view.name] / depth - 1)[view.hole]
@@ -90,11 +92,31 @@ def test_a_surface_that_no_photo_shows_is_spanned_and_carried(large: SyntheticSc
         assert left.mean() < 0.25 * wrong.mean()
 
 
+def test_a_soft_depth_is_made_flat_where_points_say_so(large: SyntheticScene) -> None:
+    """Fields are unsure of what they hardly see; sparse points of floor and walls around it are not."""
+    views, rng = views_of(large), np.random.default_rng(0)
+    soft = {n: (d * (1 + 0.02 * rng.standard_normal(d.shape))).astype(np.float32) for n, d in depths_of(large).items()}
+    nothing = np.zeros((0, 3), np.float32)
+    apart = {}
+    for name, points in (("with", large.points.xyz), ("without", nothing)):
+        made, _, _, _ = complete_from_photos(views, soft, points, NO_CODES, THREE, seed=0)
+        off = [
+            np.abs(one.depth / true - 1)[view.hole]
+            for view, one, true in zip(views, made, large.empty_depths, strict=True)
+            if one.depth is not None
+        ]
+        apart[name] = (np.median(np.concatenate(off)), error(large, [one.picture for one in made]))
+    assert apart["with"][0] < 0.5 * apart["without"][0]
+    assert apart["with"][1] < apart["without"][1]
+
+
 def test_known_elsewhere_or_made_up_is_told_apart(large: SyntheticScene) -> None:
     """With depth on the ball itself no other photo knows what is masked: all of it has to be made up."""
     views = views_of(large)
     true, wrong = (
-        complete_from_photos(views, depths, NO_CODES, PhotoCompletion(max_reference_views=1), seed=0)[1]
+        complete_from_photos(views, depths, large.points.xyz, NO_CODES, PhotoCompletion(max_reference_views=1), seed=0)[
+            1
+        ]
         for depths in (depths_of(large), dict(zip(large.names, large.depths.astype(np.float32), strict=True)))
     )
     share, none = (int(words.split("%")[0]) for words in (true, wrong))
@@ -105,7 +127,7 @@ def test_known_elsewhere_or_made_up_is_told_apart(large: SyntheticScene) -> None
 def test_every_filled_pixel_says_where_it_came_from(large: SyntheticScene) -> None:
     """All of the hole and nothing else; a pixel that is a photo's has the colour that the photo has there."""
     views = views_of(large)
-    made, _, _, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, _, _, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
     for view, one in zip(views, made, strict=True):
         np.testing.assert_array_equal(one.sources > 0, view.hole)
     sources = np.concatenate([one.sources[one.sources > 0] for one in made])
@@ -129,7 +151,13 @@ def test_what_is_painted_in_one_view_is_carried_to_the_others(large: SyntheticSc
     painted = np.broadcast_to(np.array([1.0, 0.0, 1.0], np.float32), views[0].image.shape)
     everywhere = np.ones_like(views[0].hole)
     made, words, _, _ = complete_from_photos(
-        views, depths_of(large), NO_CODES, THREE, seed=0, paintings={views[0].name: Painting(painted, everywhere)}
+        views,
+        depths_of(large),
+        large.points.xyz,
+        NO_CODES,
+        THREE,
+        seed=0,
+        paintings={views[0].name: Painting(painted, everywhere)},
     )
     assert f"as painted in {views[0].name}" in words
     assert (made[0].sources[views[0].hole] == SOURCE_CODES["painted"]).all()
@@ -147,7 +175,7 @@ def test_of_two_paintings_of_one_place_the_nearest_counts_and_the_contradiction_
     first, second = (np.broadcast_to(np.array(c, np.float32), views[0].image.shape) for c in ((1, 0, 1), (0, 1, 0)))
     everywhere = np.ones_like(views[0].hole)
     made, _, _, contradictions = complete_from_photos(
-        views, depths_of(large), NO_CODES, THREE, seed=0,
+        views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0,
         paintings={views[0].name: Painting(first, everywhere), views[7].name: Painting(second, everywhere)},
     )  # fmt: skip
     for index, colour in ((0, (1, 0, 1)), (7, (0, 1, 0))):
@@ -164,7 +192,7 @@ def test_of_two_paintings_of_one_place_the_nearest_counts_and_the_contradiction_
 def test_what_is_copied_by_example_is_noted_to_the_pixel(large: SyntheticScene) -> None:
     """Where nothing was evened out the picture is what the noted pixel shows; copies lie outside what they fill."""
     views = views_of(large)
-    made, _, references, _ = complete_from_photos(views, depths_of(large), NO_CODES, THREE, seed=0)
+    made, _, references, _ = complete_from_photos(views, depths_of(large), large.points.xyz, NO_CODES, THREE, seed=0)
     noted = [one for one in made if one.copies is not None]
     assert {one.name for one in noted} == set(references)
     for one in noted:

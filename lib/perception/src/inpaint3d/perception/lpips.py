@@ -8,6 +8,7 @@ unpickler that knows numpy alone.
 import hashlib
 import importlib.metadata
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
@@ -71,16 +72,24 @@ class Lpips:
 
     def difference(self, a: Tensor, b: Tensor) -> Tensor:
         """LPIPS of each pair of images [n, 3, h, w] in [-1, 1], [n]; differentiable."""
-        pairs = zip(self.heads, self.features(a), self.features(b), strict=True)
+        return self._weigh(self.features(a), self.features(b))
+
+    def _weigh(self, a: Sequence[Tensor], b: Sequence[Tensor]) -> Tensor:
+        pairs = zip(self.heads, a, b, strict=True)
         return torch.stack([((u - v).square() * head.to(u)).sum(1).mean((1, 2)) for head, u, v in pairs]).sum(0)
 
-    @torch.no_grad()
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
         Small pictures are both `enlarge`.
         """
-        return float(self.difference(*(_batch(picture) for picture in (image, truth))))
+        return self.distances([image], truth)[0]
+
+    @torch.no_grad()
+    def distances(self, images: Sequence[NDArray[np.float32]], truth: NDArray[np.float32]) -> list[float]:
+        """`distance` of each picture to one truth, whose features are taken once."""
+        wanted = self.features(_batch(truth))
+        return [float(self._weigh(self.features(_batch(image)), wanted)) for image in images]
 
 
 def safe_length(features: Tensor) -> Tensor:

@@ -21,6 +21,9 @@ TOLERANCE = 1.5
 Both views' depth errors count as far as they show: far away, where little parallax is left, depths may differ a lot.
 """
 
+SAME_SURFACE = 0.1
+"""Share by which the disparities of neighbouring cells of one surface differ at most."""
+
 Cell = TypeVar("Cell", bound=np.generic)
 
 
@@ -100,3 +103,36 @@ def enlarge_cells(cells: NDArray[Cell], shape: tuple[int, ...]) -> NDArray[Cell]
     y = (np.arange(shape[0]) + 0.5) * cells.shape[0] / shape[0]
     x = (np.arange(shape[1]) + 0.5) * cells.shape[1] / shape[1]
     return cells[y.astype(np.int64)[:, None], x.astype(np.int64)[None]]
+
+
+def enlarge_depth(depth: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """A depth map z [h, w] > 0 at a larger `shape`: linear in disparity, as planes are, with edges where surfaces end.
+
+    Of the four cells around a pixel those count that lie on one surface, the one of most weight: between two surfaces
+    there is nothing.
+    """
+    disparity = 1 / depth.astype(np.float64)
+    (low_y, share_y), (low_x, share_x) = (_find_cells(n, m) for n, m in zip(shape, depth.shape, strict=True))
+    corners, weights = [], []
+    for dy, dx in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        rows, columns = (
+            np.minimum(low + d, n - 1) for low, d, n in ((low_y, dy, len(depth)), (low_x, dx, len(depth[0])))
+        )
+        corners.append(disparity[rows[:, None], columns])
+        weights.append(np.abs(1 - dy - share_y)[:, None] * np.abs(1 - dx - share_x))
+    most, made = np.zeros(shape), np.empty(shape)
+    for own in corners:
+        alike = [w * (np.abs(other - own) < SAME_SURFACE * own) for w, other in zip(weights, corners, strict=True)]
+        weight = np.sum(alike, 0)
+        # The four sums of one surface may differ in their last digit.
+        better = weight > most + 1e-9
+        mean = np.sum([a * other for a, other in zip(alike, corners, strict=True)], 0) / np.maximum(weight, 1e-9)
+        most, made = np.where(better, weight, most), np.where(better, mean, made)
+    return 1 / made
+
+
+def _find_cells(pixels: int, cells: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """For each pixel centre of a line the cell whose centre lies before it, and how far on to the next one it is."""
+    at = ((np.arange(pixels) + 0.5) * cells / pixels - 0.5).clip(0, cells - 1)
+    low = np.minimum(at.astype(np.int64), max(0, cells - 2))
+    return low, at - low

@@ -1,6 +1,6 @@
 """The protocols, one function each: what is compared with what, on which pixels."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -93,10 +93,11 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         first = pictures[bench.methods[0].label]
         pictures[MEAN_SURROUND] = mean_surround(first, photo.hole[outer.slices], ring)
         truth, hole = photo.image[box.slices], photo.hole[box.slices]
-        for label, picture in pictures.items():
-            crop = np.ascontiguousarray(picture[box.relative_to(outer).slices])
+        cut = {n: np.ascontiguousarray(p[box.relative_to(outer).slices]) for n, p in pictures.items()}
+        for label, figures in compare_pictures(cut, truth, perceptual=config.perceptual).items():
+            bench.scores.add(BOX, label, photo.name, figures)
+        for label, crop in cut.items():
             crops.setdefault(label, []).append(crop)
-            bench.scores.add(BOX, label, photo.name, compare_pictures(crop, truth, perceptual=config.perceptual))
             figures = {"psnr": psnr(crop, truth, hole)}
             if (share := gradient_share(crop, truth, hole)) is not None:
                 figures["gradient_share"] = share
@@ -126,10 +127,10 @@ def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: 
         pictures[WARPED] = (
             pictures[MEAN_COLOUR] if depth is None else nearest_photo_warped(photo.camera, depth, train, average)
         )
-        for label, picture in pictures.items():
-            # Unknown pixels are made equal, so that windows and features that touch them see no difference there.
-            shown = np.where(photo.known[..., None], picture, photo.image).astype(np.float32)
-            figures = compare_pictures(shown, photo.image, perceptual=bench.config.perceptual, region=photo.known)
+        # Unknown pixels are made equal, so that windows and features that touch them see no difference there.
+        shown = {n: np.where(photo.known[..., None], p, photo.image).astype(np.float32) for n, p in pictures.items()}
+        scores = compare_pictures(shown, photo.image, perceptual=bench.config.perceptual, region=photo.known)
+        for label, figures in scores.items():
             bench.scores.add(HELD_OUT, label, photo.name, figures)
         done += 1
     if not done:
@@ -254,13 +255,15 @@ def _mean_difference(one: Image, other: Image, hole: np.ndarray, config: Config)
 
 
 def compare_pictures(
-    picture: Image, truth: Image, *, perceptual: bool, region: np.ndarray | None = None
-) -> dict[str, float]:
-    """PSNR, SSIM and (where wanted) both LPIPS of one pair."""
-    figures = {"psnr": psnr(picture, truth, region), "ssim": ssim(picture, truth, region)}
+    pictures: Mapping[str, Image], truth: Image, *, perceptual: bool, region: np.ndarray | None = None
+) -> dict[str, dict[str, float]]:
+    """PSNR, SSIM and (where wanted) both LPIPS of each picture against one truth, by label."""
+    figures = {n: {"psnr": psnr(p, truth, region), "ssim": ssim(p, truth, region)} for n, p in pictures.items()}
     if perceptual:
-        figures["lpips_vgg"] = lpips.load("vgg").distance(picture, truth)
-        figures["lpips_alex"] = lpips.load("alex").distance(picture, truth)
+        for network in ("vgg", "alex"):
+            distances = lpips.load(network).distances(list(pictures.values()), truth)
+            for label, distance in zip(pictures, distances, strict=True):
+                figures[label][f"lpips_{network}"] = distance
     return figures
 
 

@@ -51,17 +51,19 @@ def distil(
     becomes opaque.
 
     The gradient is 0 outside the hole, so that only the rays inside are rendered with a graph: known pixels cost a
-    plain render, and nothing is rendered twice unless the hole has more than `block` rays.
+    plain render, or nothing where the guide does not look at them, and nothing is rendered twice unless the hole has
+    more than `block` rays.
     """
     rays = camera_rays(view.camera, window.pixels(), device=field.device)
     hole = torch.from_numpy(window.sample(view.hole)).to(field.device)
     inside = Rays(rays.origins[hole], rays.directions[hole])
-    outside = Rays(rays.origins[~hole], rays.directions[~hole])
     behind = torch.rand(3, generator=generator).to(field.device)
     look = Look(specular_scale, behind)
     rgb, interlevel, distortion = _with_graph(field, inside, look, block, generator)
-    patch = torch.empty(*hole.shape, 3, device=field.device)
-    patch[~hole] = _without_graph(field, outside, look, block)
+    patch = torch.zeros(*hole.shape, 3, device=field.device)
+    if guide.needs_surround:
+        outside = Rays(rays.origins[~hole], rays.directions[~hole])
+        patch[~hole] = _without_graph(field, outside, look, block)
     patch[hole] = rgb.detach()
     gradient, t = guide.gradient(patch, hole, window, timesteps, generator)
     inner = gradient[hole]

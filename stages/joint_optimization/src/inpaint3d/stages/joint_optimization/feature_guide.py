@@ -20,6 +20,7 @@ class FeatureGuide(Stateless):
     """
 
     windows = None
+    needs_surround = True
 
     def __init__(
         self,

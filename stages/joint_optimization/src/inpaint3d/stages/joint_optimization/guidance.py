@@ -39,12 +39,18 @@ class Guide(Protocol):
         """Each view's window, where the guide keeps to one; None: windows are drawn."""
         ...
 
+    @property
+    def needs_surround(self) -> bool:
+        """Whether it looks at what the field shows around the hole; where not, only the hole is rendered for it."""
+        ...
+
     def gradient(
         self, patch: Patch, hole: Hole, window: Window, timesteps: Timesteps, generator: torch.Generator
     ) -> tuple[Patch, float]:
         """d(loss)/d(patch) for a patch rendered in [0, 1], and the diffusion time t that was drawn (NaN: none).
 
-        Outside the hole the gradient is 0. All that is random comes from `generator`.
+        Outside the hole the gradient is 0, and so is the patch for a guide that needs no surround. All that is random
+        comes from `generator`.
         """
         ...
 
@@ -96,6 +102,7 @@ class PriorGuide:
     estimate: Callable[[PriorQuery], Float[Tensor, "1 3 h w"]]
     copy: LowRankCopy | None = None
     windows: None = None
+    needs_surround: bool = True
 
     @property
     def size(self) -> int:
@@ -129,6 +136,8 @@ class DatasetGuide:
     update_every: patches of a view from one update to the next; the first makes it.
     """
 
+    needs_surround = True
+
     def __init__(self, prior: Denoiser, windows: Windows, *, guidance: float, steps: int, update_every: int) -> None:
         self.prior, self.windows, self.size = prior, windows, prior.size
         self._guidance, self._steps, self._every = guidance, steps, update_every
@@ -158,6 +167,8 @@ class PictureGuide(Stateless):
 
     It sharpens what rays are fitted to pixel by pixel. windows: each view's only one; None: any.
     """
+
+    needs_surround = False
 
     def __init__(self, pictures: Sequence[NDArray[np.float32]], size: int, windows: Windows | None = None) -> None:
         self.size, self.windows, self._pictures = size, windows, pictures

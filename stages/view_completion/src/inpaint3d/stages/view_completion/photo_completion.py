@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,10 +24,11 @@ from inpaint3d.scene.membrane import span_membrane
 from inpaint3d.scene.morphology import grow, grow_square, label_parts
 from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
-from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, find_visible
+from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, enlarge_depth, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.example import fill_by_example
+from inpaint3d.stages.view_completion.surfaces import Plane, fit_planes, snap_to_planes
 
 REACH = 1.8
 """Patches are copied from surfaces this much further from the middle of a gap than its own edge is, in space."""
@@ -36,10 +36,35 @@ MIN_GAP = 5
 """Pixels across from which on a gap is one; less is a crack, and is closed smoothly."""
 MIN_SHARE = 0.01
 """Share of a hole below which its gaps are not worth another reference view."""
+PLANE_PIXELS = 1.5
+"""Pixels that a sparse point on a plane may lie off it, seen at the middle depth."""
+KNOWN_REACH, HOLE_REACH, SPANNED_REACH = 2.0, 4.0, 6.0
+"""How many times as far off a plane depth may lie and is still taken for it: of known cells, of masked ones that the
+field has from other views, and of what is spanned between these."""
 PAINTED, EXAMPLE, SMOOTH = (SOURCE_CODES[name] for name in ("painted", "example", "smooth"))
 
 Sources = NDArray[np.uint16]
 Tick = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Flat:
+    """The planes of a scene, and how far a point of theirs may lie off them, scene units."""
+
+    planes: Sequence[Plane]
+    tolerance: float
+
+    @classmethod
+    def find(
+        cls, views: Sequence[MaskedView], depths: Mapping[str, NDArray[np.float32]], points: NDArray[np.float32]
+    ) -> "Flat":
+        """In the sparse points [n, 3] of the views."""
+        pixel = np.median([np.median(depths[v.name]) / v.camera.fx for v in views])
+        return cls(fit_planes(points, PLANE_PIXELS * float(pixel)), PLANE_PIXELS * float(pixel))
+
+    def snap(self, coarse: CoarseView, times: NDArray[np.floating] | float) -> CoarseView:
+        """A view with what lies within so many `times` the tolerance of a plane on it."""
+        return replace(coarse, depth=snap_to_planes(coarse.depth, coarse.camera, self.planes, times * self.tolerance))
 
 
 @dataclass(eq=False)
@@ -47,7 +72,8 @@ class Draft:
     """A view on its way: picture [h, w, 3] in the mean appearance, 0 where `missing`; sources [h, w] of what is filled.
 
     unsure: cells of `coarse` whose surface no photo shows; its depth says nothing there until they are settled.
-    copies: pixel (x, y) [h, w, 2] that each was copied from by example, -1 elsewhere; None where nothing was.
+    copies: pixel (x, y) [h, w, 2] that each was copied from by example, -1 elsewhere; None where nothing was. flat: the
+    planes of the scene, which depths keep to.
     """
 
     index: int
@@ -57,14 +83,13 @@ class Draft:
     missing: Mask
     unsure: Mask
     sources: Sources
+    flat: Flat
     copies: NDArray[np.float32] | None = None
 
     @cached_property
     def depth(self) -> NDArray[np.float64]:
         """Depth z of every pixel [h, w], scene units."""
-        # Disparity, since that is what is linear over a plane.
-        size = (self.view.camera.width, self.view.camera.height)
-        return 1 / cv2.resize(1 / self.coarse.depth.astype(np.float64), size, interpolation=cv2.INTER_LINEAR)
+        return enlarge_depth(self.coarse.depth, (self.view.camera.height, self.view.camera.width))
 
     @cached_property
     def surely_known(self) -> Mask:
@@ -102,6 +127,7 @@ class Draft:
 def complete_from_photos(
     views: Sequence[MaskedView],
     depths: Mapping[str, NDArray[np.float32]],
+    points: NDArray[np.float32],
     appearance: AppearanceMap,
     method: PhotoCompletion,
     *,
@@ -113,12 +139,15 @@ def complete_from_photos(
     paintings contradict each other.
 
     depths: by view, a depth map (scene units along the axis, any size) of a field that was fitted to known pixels
-    alone. paintings: by view, of its size; each counts in its own view, and elsewhere the one from nearest.
+    alone. points: sparse points [n, 3] that no mask covers, scene units. paintings: by view, of its size; each counts
+    in its own view, and elsewhere the one from nearest.
     """
     say = tick or _ignore
     steps = len(views) + method.max_reference_views + len(paintings or {}) + 1
+    flat = Flat.find(views, depths, points)
     drafts = [
-        _start_draft(i, view, depths[view.name], appearance.to_mean(view.image, i)) for i, view in enumerate(views)
+        _start_draft(i, view, depths[view.name], appearance.to_mean(view.image, i), flat)
+        for i, view in enumerate(views)
     ]
     _recover_all(drafts, method.min_supporting_views, lambda done, message: say(done, steps, message))
     unknown = sum(int(d.missing.sum()) for d in drafts) / max(1, sum(int(v.hole.sum()) for v in views))
@@ -168,13 +197,15 @@ def _restore_exposure(draft: Draft, appearance: AppearanceMap) -> Image:
     return np.where(draft.view.hole[..., None], own, draft.view.image).astype(np.float32)
 
 
-def _start_draft(index: int, view: MaskedView, depth: NDArray[np.float32], picture: Image) -> Draft:
+def _start_draft(index: int, view: MaskedView, depth: NDArray[np.float32], picture: Image, flat: Flat) -> Draft:
     coarse = coarsen(view, depth)
+    # A cell beside the mask has as soft a depth as those behind it.
+    coarse = flat.snap(coarse, np.where(grow(coarse.hole, 1), HOLE_REACH, KNOWN_REACH))
     # One cell inside: next to a mask its object shows through, and interpolation reads beyond.
     coarse = replace(coarse, known=~grow(~coarse.known, 1))
     blank = np.where(view.known[..., None], picture, np.float32(0))
     sources = np.zeros(view.hole.shape, np.uint16)
-    return Draft(index, view, coarse, blank, view.hole.copy(), grow(coarse.hole, 1), sources)
+    return Draft(index, view, coarse, blank, view.hole.copy(), grow(coarse.hole, 1), sources, flat)
 
 
 def _recover_all(drafts: Sequence[Draft], min_supporting_views: int, tick: Callable[[int, str], None]) -> None:
@@ -240,7 +271,8 @@ def _find_surely_known(draft: Draft, xy: NDArray[np.float64], z: NDArray[np.floa
 def _span_unsure(draft: Draft) -> None:
     """Give the unsure cells the surface that is spanned between the sure ones around them."""
     if draft.unsure.any():
-        draft.settle(draft.unsure, 1 / span_membrane(1 / draft.coarse.depth, ~draft.unsure))
+        spanned = replace(draft.coarse, depth=1 / span_membrane(1 / draft.coarse.depth, ~draft.unsure))
+        draft.settle(draft.unsure, draft.flat.snap(spanned, SPANNED_REACH).depth)
 
 
 def _take_painting(draft: Draft, painting: Painting, appearance: AppearanceMap) -> None:

@@ -54,6 +54,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
             made, summary, references, contradictions = complete_from_photos(
                 scene.train,
                 load_depth_maps(scene.train, field),
+                scene.points,
                 AppearanceMap(_load_appearance(field, inputs)),
                 method,
                 seed=ctx.seed,

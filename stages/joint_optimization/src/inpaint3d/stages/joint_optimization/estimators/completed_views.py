@@ -25,7 +25,8 @@ class CompletedViewsEstimator(Guided):
     reads: ClassVar[tuple[str, ...]] = (PORT,)
 
     name: Literal["completed-views"] = "completed-views"
-    weight: Weight = Field(default=0.3, description="peak weight of LPIPS in the hole; 0: rays alone")
+    weight: Weight = Field(default=0.6, description="peak weight of LPIPS in the hole; 0: rays alone")
+    distill_every: Count = Field(default=4, description="steps from one window to the next")
     filled_share: Share | None = Field(
         default=0.4,
         description="share of the rays of a step that are drawn from what was filled; None: as many as fall on it; "
