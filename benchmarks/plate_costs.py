@@ -17,11 +17,12 @@ from benchmarks.plates import REPOSITORY, RESULTS, Run
 
 from inpaint3d.contracts.kit.upstream import invoke
 from inpaint3d.contracts.models.artifacts import Capture, CompletedViews, PosedCapture
+from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO
 from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Artifact, FolderStore
 from inpaint3d.scene.capture_io import SparsePoints, load_points, write_points
-from inpaint3d.scene.image_io import read_image, write_png
+from inpaint3d.scene.image_io import read_codes, read_image, write_codes, write_png
 
 
 def measure_size(run: Run, megapixels: float, count: int) -> dict[str, Any]:
@@ -95,6 +96,11 @@ def put_part(
     if points is not None:
         (folder / "points.safetensors").unlink()
         write_points(folder / "points.safetensors", points)
+    for path in (folder / "sources").glob("*.png"):
+        codes = read_codes(path)
+        # Photos that are left out have no number: which one stands here decides nothing.
+        path.unlink()
+        write_codes(path, np.minimum(codes, FIRST_PHOTO))
     named = metadata.model_dump_json()
     for path in [p for p in folder.rglob("*") if p.is_file() and str(p.relative_to(folder)) not in named]:
         path.unlink()

@@ -15,6 +15,7 @@ from inpaint3d.scene.capture_io import load_posed
 from inpaint3d.scene.image_io import Image, Mask, read_codes, read_exr, read_image, read_mask
 from inpaint3d.scene.morphology import grow
 from inpaint3d.scene.reprojection import sample_bilinear
+from inpaint3d.scene.visibility import enlarge_depth
 from inpaint3d.stages.plate_export.lens import Floats, PhotoCamera
 
 SEEN_WITHIN = 0.03
@@ -44,10 +45,12 @@ class PlateView:
 
     def disparity_at(self, rays: Floats) -> Floats:
         """1 / z [*n] of the surface behind rays [*n, 2]."""
-        h, w = self.disparity.shape
-        scale = (w / self.camera.posed.width, h / self.camera.posed.height)
-        at = self.camera.to_posed(rays) * scale
-        return sample_bilinear(self.disparity[..., None].astype(np.float32), at)[..., 0].astype(np.float64)
+        at = self.camera.to_posed(rays)
+        return sample_bilinear(self._fine_disparity[..., None], at)[..., 0].astype(np.float64)
+
+    @cached_property
+    def _fine_disparity(self) -> NDArray[np.float32]:
+        return (1 / enlarge_depth(1 / self.disparity, self.hole.shape)).astype(np.float32)
 
     def sees(self, rays: Floats, z: Floats) -> Mask:
         """Whether points at depth z [*n] behind rays [*n, 2] are what the view shows there."""
