@@ -48,7 +48,7 @@ def test_paintings_are_awaited_once_before_the_first_node_that_reads_them():
     asked = submission(PIPELINE, awaitPaintings=True, want=("plate-export",))
     documents = emit(PIPELINE, cluster(), asked)
     assert check(documents, PIPELINE) == []
-    (scene,) = [t for t in documents[0]["spec"]["templates"] if t["name"] == "scene"]
+    (scene,) = [t for t in template_of(documents)["spec"]["templates"] if t["name"] == "scene"]
     tasks = {task["name"]: task for task in scene["dag"]["tasks"]}
     upstream = configure_submission(PIPELINE, asked).pipeline.upstream("view-completion")
     assert set(tasks["await-painting"]["dependencies"]) == upstream

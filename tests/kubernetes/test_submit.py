@@ -124,7 +124,7 @@ def test_the_command_writes_what_is_wanted_and_says_what_is_left_out(cli, captur
     assert check(documents, PIPELINE) == []
     (template,) = [d for d in documents if d["kind"] == "WorkflowTemplate"]
     left_out = set(json.loads(template["metadata"]["annotations"][LEFT_OUT]))
-    assert left_out == {"diffusion-training", "continued-reconstruction"} - (
+    assert left_out == {"diffusion-training", "continued-reconstruction", "plate-export"} - (
         {"continued-reconstruction"} if flags else set()
     )
     submitted = clusters.load_submission(open_store(bucket), "spring")
@@ -243,7 +243,7 @@ def test_a_mask_is_given_to_its_scene_alone(store, kubectl, tmp_path):
     assert change[1]["outputs"]["parameters"] == [
         {"name": "mask-request", "value": digest, "valueFrom": {"supplied": {}}}
     ]
-    with pytest.raises(ConfigurationError, match="nothing of kitchen waits for a mask"):
+    with pytest.raises(ConfigurationError, match="nothing of kitchen waits for its mask-request"):
         clusters.give(store, cluster(), "test", "kitchen", MASK_REQUEST, tmp_path / "mask.yaml")
     with pytest.raises(ConfigurationError, match="test has no scene hall; it has kitchen, n"):
         clusters.give(store, cluster(), "test", "hall", MASK_REQUEST, tmp_path / "mask.yaml")
