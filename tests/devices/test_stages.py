@@ -94,9 +94,9 @@ def test_a_hole_is_filled_by_example_there(bench: Bench, monkeypatch: pytest.Mon
     image = np.tile(bench.room.images[0], (2, 2, 1))
     hole = np.zeros(image.shape[:2], bool)
     hole[20:44, 30:60] = True
-    here = fill_by_example(image, hole, ~hole, variety=0.5)
+    here = fill_by_example(image, hole, ~hole, variety=0.5)[0]
     with pretend_cuda(monkeypatch):
-        there = fill_by_example(image, hole, ~hole, variety=0.5, device="cuda")
+        there = fill_by_example(image, hole, ~hole, variety=0.5, device="cuda")[0]
     np.testing.assert_array_equal(there, here)
 
 
