@@ -107,7 +107,7 @@ def test_a_safetensors_header_that_lies_is_refused(tmp_path, change):
 @pytest.mark.parametrize(
     ("spans", "size", "says"),
     [
-        ([(0, 8), (4, 12)], 12, "array 'b' begins at byte 4, the last ended at 8"),
+        ([(0, 8), (4, 12)], 12, "array 'b' begins at byte 4, not where the last ended .8."),
         ([(0, 8), (12, 20)], 20, "array 'b' begins at byte 12"),
         ([(0, 8), (8, 16)], 17, "said to take 16 bytes, but 17 are there"),
         ([(0, 8), (8, 16)], 15, "said to take 16 bytes, but 15 are there"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.models.artifacts import FieldSpec, GridSpec
 from inpaint3d.radiance.artifact import reduce_camera, stub_weights, write_curve, write_view, write_views
 from inpaint3d.radiance.fields import RadianceField
@@ -72,7 +73,7 @@ def test_view_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     flat = np.ones((4, 4), np.float32)
     camera = Camera(4, 4, 2, 2, 4, 4, look_at((0.8, 0, 0.3), (0, 0, 0)))
     maps = {"rgb": np.ones((4, 4, 3), np.float32), "depth": flat * np.nan, "median_depth": flat, "opacity": flat}
-    with pytest.raises(ValueError, match="16 values are not finite"):
+    with pytest.raises(NonFiniteError, match="the render of view a is not finite: depth in 16 numbers"):
         write_view(tmp_path, "a", camera, maps)
 
 

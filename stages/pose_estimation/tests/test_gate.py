@@ -76,7 +76,7 @@ def test_a_camera_far_from_all_others_is_named():
     names = [f"view_{i}" for i in range(8)]
     check_spread(centres, names)
     centres[5, 0] += 100
-    with pytest.raises(BadInputError, match=r"1 cameras stand far from all others: view_5 .\d\d+ times as far as most"):
+    with pytest.raises(BadInputError, match=r"stand those of view_5 .\d\d+ times as far as most"):
         check_spread(centres, names)
 
 

@@ -1,7 +1,7 @@
 """One exception tree, and the exit code that each branch leaves behind.
 
     Inpaint3dError                1   a bug, or an error nobody foresaw
-    ├── NonFiniteError                numbers of a fit are not finite, and no input is to blame
+    ├── NonFiniteError            1   numbers of a fit are not finite, and no input is to blame
     ├── ConfigurationError        2   a parameter, pipeline.yaml, stage.yaml or request is wrong
     ├── BadInputError             3   the data cannot work, or an artifact is not what its schema says
     │   └── ArtifactError             an artifact is missing, damaged or malformed

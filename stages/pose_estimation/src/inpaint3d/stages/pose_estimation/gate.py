@@ -18,7 +18,7 @@ FLAT_SHARE = 0.9  # the same where views could be placed; 39 % on photos of a pa
 FEW_FEATURES = 100  # a median below which pictures show too little to be told apart
 ENOUGH_MATCHES = 50  # of a view with others, before it is judged by them
 BLANK = 4  # features below which a picture shows nothing
-FAR = 25.0  # median distances of the cameras from their middle
+FAR = 10.0  # times as far from the middle camera as half of them: detail is shared out over the cube that they span
 WALK = "walk sideways between photos, don't turn on the spot"
 ESTIMATE = "set pose-estimation.cameras=estimate to find the cameras from the pictures"
 
@@ -125,7 +125,7 @@ def check_spread(centres: NDArray[np.float64], names: list[str]) -> None:
     if far:
         told = _shorten([f"{names[v]} ({distance[v] / usual:.0f} times as far as most)" for v in far])
         raise BadInputError(
-            f"{len(far)} cameras stand far from all others: {told}; leave these views out, or {ESTIMATE}"
+            f"far from all other cameras stand those of {told}; check their poses, or leave these views out"
         )
 
 

@@ -78,10 +78,10 @@ def check(
     names = [frame.name for frame in frames]
     gate.check_blank([name for name, count in zip(names, features, strict=True) if count < gate.BLANK])
     cameras = _cameras(frames)
+    gate.check_spread(np.array([pose[:, 3] for pose in cameras.world_from_cam]), names)
     if config.min_agreement > 0:
         repair = find_repair(pairs, cameras, tolerance(config))
         gate.check_agreement(_agreement(frames, pairs, config), repair, frames, config)
-    gate.check_spread(np.array([pose[:, 3] for pose in cameras.world_from_cam]), names)
 
 
 def tolerance(config: Config) -> float:

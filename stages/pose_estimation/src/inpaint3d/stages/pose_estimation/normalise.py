@@ -1,6 +1,5 @@
 """The normalised world: z up, the point of interest at the origin, every camera centre within the unit ball."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +19,6 @@ PLANE_SHARE = 0.15
 # Optical axes nearer to parallel than this have no reliable point where they meet.
 MIN_SPREAD_DEG = 4.0
 MARGIN = 1e-6
-# The scene's detail is shared out over the cube that the cameras span.
-FAR_CAMERA = 10.0
 
 
 @dataclass(frozen=True)
@@ -60,20 +57,6 @@ def find_local_frame(centres: Floats) -> Similarity:
     extent = float(np.median(np.linalg.norm(centres - origin, axis=1)))
     scale = 2.0 ** -round(np.log2(extent)) if extent > 0 else 1.0
     return Similarity(scale, np.eye(3), -scale * origin)
-
-
-def check_reach(names: Sequence[str], centres: Floats) -> None:
-    """BadInputError where one camera [n, 3] in the normalised world is so far away that it leaves no room for others.
-
-    The farthest camera is at 1 there: what it squeezes is the scene.
-    """
-    distances = np.linalg.norm(centres, axis=1)
-    farthest, usual = int(distances.argmax()), float(np.median(distances))
-    if distances[farthest] > FAR_CAMERA * usual:
-        raise BadInputError(
-            f"the camera of {names[farthest]} is {distances[farthest] / usual:.0f} times as far from what all look at "
-            f"as half of the others, at most {FAR_CAMERA:g} times is taken; check its pose, or remove the frame"
-        )
 
 
 def find_up(poses: Floats, xyz: Floats, seed: int) -> tuple[Floats, str]:

@@ -33,7 +33,7 @@ from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.known import known_lens, take_other_poses
 from inpaint3d.stages.pose_estimation.mapping import make_rigid
 from inpaint3d.stages.pose_estimation.model import Model
-from inpaint3d.stages.pose_estimation.normalise import Normalisation, check_reach, normalise
+from inpaint3d.stages.pose_estimation.normalise import Normalisation, normalise
 from inpaint3d.stages.pose_estimation.scale import find_scale
 from inpaint3d.stages.pose_estimation.solve import Solved, link_pictures, solve
 from inpaint3d.stages.pose_estimation.truth import Registered, register
@@ -46,10 +46,6 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     features.silence_pycolmap()
     solved = solve(capture, config, ctx)
     world = normalise(solved.model.world_from_cam, solved.model.xyz, ctx.seed)
-    frame_of = {link: name for name, link in solved.links.items()}
-    check_reach(
-        [frame_of[link] for link in solved.model.names], world.normalised_from_source.points(solved.model.centres)
-    )
     write_capture(capture, solved, world, config, outputs, ctx)
     if truth is not None:
         write_truth(capture, truth, solved, world, config, outputs, ctx)

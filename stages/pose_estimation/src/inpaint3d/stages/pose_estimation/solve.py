@@ -136,6 +136,8 @@ def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Pa
     gate.check_estimated(evidence, config)
     solved = _conclude(model, "estimated", why, evidence, matched, config)
     gate.check_found(solved.agreement, config)
+    frame_of = {link: name for name, link in matched.links.items()}
+    gate.check_spread(model.centres, [frame_of[link] for link in model.names])
     return solved
 
 
