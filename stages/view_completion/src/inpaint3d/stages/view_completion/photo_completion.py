@@ -7,8 +7,6 @@ radiance fields does (Mirzaei et al. 2023, arXiv:2304.09677), until nothing is l
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,108 +18,30 @@ from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.cameras import measure_apart
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.masked_views import MaskedView
-from inpaint3d.scene.membrane import span_membrane
-from inpaint3d.scene.morphology import grow, grow_square, label_parts
+from inpaint3d.scene.morphology import grow, label_parts
 from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
-from inpaint3d.scene.visibility import CoarseView, coarsen, enlarge_cells, enlarge_depth, find_visible
+from inpaint3d.scene.visibility import enlarge_cells, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
+from inpaint3d.stages.view_completion.drafts import (
+    MIN_GAP,
+    Draft,
+    Sources,
+    restore_exposure,
+    span_unsure,
+    start_draft,
+)
 from inpaint3d.stages.view_completion.example import fill_by_example
-from inpaint3d.stages.view_completion.surfaces import Plane, fit_planes, snap_to_planes
+from inpaint3d.stages.view_completion.surfaces import FlatScene
 
 REACH = 1.8
 """Patches are copied from surfaces this much further from the middle of a gap than its own edge is, in space."""
-MIN_GAP = 5
-"""Pixels across from which on a gap is one; less is a crack, and is closed smoothly."""
 MIN_SHARE = 0.01
 """Share of a hole below which its gaps are not worth another reference view."""
-PLANE_PIXELS = 1.5
-"""Pixels that a sparse point on a plane may lie off it, seen at the middle depth."""
-KNOWN_REACH, HOLE_REACH, SPANNED_REACH = 2.0, 4.0, 6.0
-"""How many times as far off a plane depth may lie and is still taken for it: of known cells, of masked ones that the
-field has from other views, and of what is spanned between these."""
 PAINTED, EXAMPLE, SMOOTH = (SOURCE_CODES[name] for name in ("painted", "example", "smooth"))
 
-Sources = NDArray[np.uint16]
 Tick = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True)
-class Flat:
-    """The planes of a scene, and how far a point of theirs may lie off them, scene units."""
-
-    planes: Sequence[Plane]
-    tolerance: float
-
-    @classmethod
-    def find(
-        cls, views: Sequence[MaskedView], depths: Mapping[str, NDArray[np.float32]], points: NDArray[np.float32]
-    ) -> "Flat":
-        """In the sparse points [n, 3] of the views."""
-        pixel = np.median([np.median(depths[v.name]) / v.camera.fx for v in views])
-        return cls(fit_planes(points, PLANE_PIXELS * float(pixel)), PLANE_PIXELS * float(pixel))
-
-    def snap(self, coarse: CoarseView, times: NDArray[np.floating] | float) -> CoarseView:
-        """A view with what lies within so many `times` the tolerance of a plane on it."""
-        return replace(coarse, depth=snap_to_planes(coarse.depth, coarse.camera, self.planes, times * self.tolerance))
-
-
-@dataclass(eq=False)
-class Draft:
-    """A view on its way: picture [h, w, 3] in the mean appearance, 0 where `missing`; sources [h, w] of what is filled.
-
-    unsure: cells of `coarse` whose surface no photo shows; its depth says nothing there until they are settled. flat:
-    the planes of the scene, which depths keep to. copies: pixel (x, y) [h, w, 2] that each was copied from by example,
-    -1 elsewhere; None where nothing was.
-    """
-
-    index: int
-    view: MaskedView
-    coarse: CoarseView
-    picture: Image
-    missing: Mask
-    unsure: Mask
-    sources: Sources
-    flat: Flat
-    copies: NDArray[np.float32] | None = None
-
-    @cached_property
-    def depth(self) -> NDArray[np.float64]:
-        """Depth z of every pixel [h, w], scene units."""
-        return enlarge_depth(self.coarse.depth, (self.view.camera.height, self.view.camera.width))
-
-    @cached_property
-    def surely_known(self) -> Mask:
-        """Known pixels [h, w] around which all are known, so that interpolation reads nothing else."""
-        return ~grow(~self.view.known, 1)
-
-    @property
-    def gaps(self) -> Mask:
-        """What is missing, without its cracks."""
-        core = ~grow_square(~self.missing, MIN_GAP // 2)
-        return grow_square(core, MIN_GAP // 2)
-
-    def fill(self, where: Mask, colours: Image, sources: Sources | int) -> None:
-        """Take `where` [h, w] from `colours` [h, w, 3], which came from `sources` [h, w]."""
-        self.picture = np.where(where[..., None], colours, self.picture).astype(np.float32)
-        self.sources = np.where(where, sources, self.sources).astype(np.uint16)
-        self.missing = self.missing & ~where
-
-    def note_copies(self, where: Mask, origins: NDArray[np.int64], box: tuple[slice, slice]) -> None:
-        """Remember what `where` [h, w] was copied from: `origins`, y * width + x of the pixels of `box`."""
-        rows, columns = box
-        width = origins.shape[1]
-        place = np.full((*where.shape, 2), -1, np.float32)
-        place[box] = np.stack([origins % width + columns.start, origins // width + rows.start], -1)
-        before = np.full_like(place, -1) if self.copies is None else self.copies
-        self.copies = np.where(where[..., None], place, before).astype(np.float32)
-
-    def settle(self, where: Mask, depth: NDArray[np.floating]) -> None:
-        """Take the surface of the unsure cells `where` from `depth`, z [h, w] of the cells."""
-        self.coarse = replace(self.coarse, depth=np.where(where, depth, self.coarse.depth).astype(np.float32))
-        self.unsure = self.unsure & ~where
-        self.__dict__.pop("depth", None)
 
 
 def complete_from_photos(
@@ -145,10 +65,9 @@ def complete_from_photos(
     """
     say = tick or _ignore
     steps = len(views) + method.max_reference_views + len(paintings or {}) + 1
-    flat = Flat.find(views, depths, points)
+    flat = FlatScene.find(views, depths, points)
     drafts = [
-        _start_draft(i, view, depths[view.name], appearance.to_mean(view.image, i), flat)
-        for i, view in enumerate(views)
+        start_draft(i, view, depths[view.name], appearance.to_mean(view.image, i), flat) for i, view in enumerate(views)
     ]
     _recover_all(drafts, method.min_supporting_views, lambda done, message: say(done, steps, message))
     unknown = sum(int(d.missing.sum()) for d in drafts) / max(1, sum(int(v.hole.sum()) for v in views))
@@ -168,14 +87,14 @@ def complete_from_photos(
             break
         references.append(reference.view.name)
         say(steps - 1 - method.max_reference_views + len(references), steps, f"making up {reference.view.name}")
-        _span_unsure(reference)
+        span_unsure(reference)
         _fill_gaps(reference, method.variety, seed, device)
         _carry_to_others(reference, drafts)
     for draft in drafts:
-        _span_unsure(draft)
+        span_unsure(draft)
         draft.fill(draft.missing, fill_telea(draft.picture, draft.missing), SMOOTH)
     made = [
-        Completion(d.view.name, _restore_exposure(d, appearance), d.sources, d.coarse.depth, d.copies) for d in drafts
+        Completion(d.view.name, restore_exposure(d, appearance), d.sources, d.coarse.depth, d.copies) for d in drafts
     ]
     return made, _describe(unknown, list(paintings or {}), references), references, contradictions
 
@@ -190,23 +109,6 @@ def _describe(unknown: float, painted: Sequence[str], references: Sequence[str])
         words += f", the rest as painted in {' and '.join(painted)}"
     words += ", the rest by example" if not painted else ", then by example"
     return f"{words} in {' and '.join(references)}" if references else words
-
-
-def _restore_exposure(draft: Draft, appearance: AppearanceMap) -> Image:
-    """The draft's picture in its view's own exposure; known pixels are the photo's own, to the bit."""
-    own = appearance.from_mean(draft.picture, draft.index)
-    return np.where(draft.view.hole[..., None], own, draft.view.image).astype(np.float32)
-
-
-def _start_draft(index: int, view: MaskedView, depth: NDArray[np.float32], picture: Image, flat: Flat) -> Draft:
-    coarse = coarsen(view, depth)
-    # A cell beside the mask has as soft a depth as those behind it.
-    coarse = flat.snap(coarse, np.where(grow(coarse.hole, 1), HOLE_REACH, KNOWN_REACH))
-    # One cell inside: next to a mask its object shows through, and interpolation reads beyond.
-    coarse = replace(coarse, known=~grow(~coarse.known, 1))
-    blank = np.where(view.known[..., None], picture, np.float32(0))
-    sources = np.zeros(view.hole.shape, np.uint16)
-    return Draft(index, view, coarse, blank, view.hole.copy(), grow(coarse.hole, 1), sources, flat)
 
 
 def _recover_all(drafts: Sequence[Draft], min_supporting_views: int, tick: Callable[[int, str], None]) -> None:
@@ -269,21 +171,9 @@ def _find_surely_known(draft: Draft, xy: NDArray[np.float64], z: NDArray[np.floa
     return inside & draft.surely_known[y, x]
 
 
-def _span_unsure(draft: Draft) -> None:
-    """Give the unsure cells the surface that is spanned between the sure ones around them.
-
-    Where a view has no sure cell there is nothing to span: the field's own surface stays.
-    """
-    if draft.unsure.all():
-        draft.settle(draft.unsure, draft.coarse.depth)
-    elif draft.unsure.any():
-        spanned = replace(draft.coarse, depth=1 / span_membrane(1 / draft.coarse.depth, ~draft.unsure))
-        draft.settle(draft.unsure, draft.flat.snap(spanned, SPANNED_REACH).depth)
-
-
 def _take_painting(draft: Draft, painting: Painting, appearance: AppearanceMap) -> None:
     """What was painted counts wherever it was, also where other photos show something."""
-    _span_unsure(draft)
+    span_unsure(draft)
     painted = appearance.to_mean(painting.picture, draft.index)
     draft.fill(painting.mask & draft.view.hole, painted, PAINTED)
 

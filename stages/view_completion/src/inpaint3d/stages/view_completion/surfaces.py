@@ -5,17 +5,21 @@ photos by it come from beside the place that is meant. Most of what people build
 where, to a fraction of a pixel.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Mask
+from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.visibility import CoarseView
 
 Array = NDArray[np.float64]
 
+PLANE_PIXELS = 1.5
+"""Pixels that a sparse point on a plane may lie off it, seen at the middle depth."""
 TRIALS = 500
 """Triples of points that are tried for one plane."""
 MIN_POINTS = 60
@@ -53,6 +57,26 @@ class Plane:
         ahead, off = towards @ self.normal, self.offset - camera.centre @ self.normal
         depth = np.divide(off, ahead, out=np.full(len(pixels), np.inf), where=ahead != 0)
         return np.where(depth > 0, depth, np.inf)
+
+
+@dataclass(frozen=True)
+class FlatScene:
+    """The planes of a scene, and how far a point of theirs may lie off them, scene units."""
+
+    planes: Sequence[Plane]
+    tolerance: float
+
+    @classmethod
+    def find(
+        cls, views: Sequence[MaskedView], depths: Mapping[str, NDArray[np.float32]], points: NDArray[np.float32]
+    ) -> "FlatScene":
+        """In the sparse points [n, 3] of the views."""
+        pixel = np.median([np.median(depths[v.name]) / v.camera.fx for v in views])
+        return cls(fit_planes(points, PLANE_PIXELS * float(pixel)), PLANE_PIXELS * float(pixel))
+
+    def snap(self, coarse: CoarseView, times: NDArray[np.floating] | float) -> CoarseView:
+        """A view with what lies within so many `times` the tolerance of a plane on it."""
+        return replace(coarse, depth=snap_to_planes(coarse.depth, coarse.camera, self.planes, times * self.tolerance))
 
 
 def fit_planes(points: NDArray[np.floating], tolerance: float) -> list[Plane]:
