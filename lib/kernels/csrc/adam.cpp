@@ -34,13 +34,14 @@ inline int32_t move(const State& state, const Adam& a, int64_t begin, int64_t en
     const float first = m + (1.0f - a.beta1) * (slope - m);
     const float second = a.beta2 * v + (1.0f - a.beta2) * slope * slope;
     const float to = param - a.step_size * first / (__builtin_sqrtf(second) * a.inverse_spread + a.eps);
-    const bool wanted = !sparse || grad != 0.0f;
-    const bool finite = __builtin_fabsf(slope) < kLargest && second - second == 0.0f && to - to == 0.0f;
-    const bool moves = wanted && finite;
+    const bool wanted = !sparse | (grad != 0.0f);
+    // No short circuit: a branch would keep the loop from being one of vectors.
+    const bool finite = (__builtin_fabsf(slope) < kLargest) & (second - second == 0.0f) & (to - to == 0.0f);
+    const bool moves = wanted & finite;
     state.m[i] = moves ? first : m;
     state.v[i] = moves ? second : v;
     state.param[i] = moves ? to : param;
-    lost += wanted && !finite;
+    lost += wanted & !finite;
   }
   return lost;
 }
