@@ -25,7 +25,7 @@ LARGEST_HOLE = 0.7  # of the views' pixels, where not everything beyond the hole
 LEAST_CONSISTENCY = 0.25
 LEAST_COMPLETION_DB = 18.0  # between neighbours; 31 on the demo capture, 17 with its completed views shuffled
 FEWEST_PIXELS = 20
-LATTICE = 96  # longest side of what baselines are measured on
+LATTICE = 48  # longest side of what baselines are measured on
 POINTS = 2000  # of those that a view's coarse depth is made of
 
 TRY = "look at the views under runs/NAME, check the capture's cameras (pose-estimation.cameras=estimate), or fit longer"
