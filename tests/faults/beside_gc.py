@@ -7,7 +7,6 @@ and looks each of them up again. None may be gone, or be another one.
 """
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from inpaint3d.contracts.models.report import Machine, NodeRun, RunRecord
 from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.housekeeping import collect, find_damage
+from tests.faults.results import conclude
 
 MACHINE = Machine(processor="p", cores=1, memory_bytes=1, python="3")
 
@@ -80,11 +80,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--processes", type=int, default=8)
     parser.add_argument("--results", type=int, default=100)
+    parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         counts, faults = carry_out(Path(folder), given.processes, given.results)
-    sys.stdout.write(json.dumps({"beside gc": counts, "faults": faults}, indent=2) + "\n")
-    sys.exit(bool(faults))
+    conclude("beside gc", counts, faults, given.out)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ import collections
 import json
 import random
 import struct
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +37,7 @@ from inpaint3d.scene.icc import read_profile
 from inpaint3d.scene.image_io import read_image, read_mask, write_exr, write_png
 from tests.colour_profiles import DISPLAY_P3, SRGB_CURVE, matrix_profile
 from tests.conftest import REPOSITORY
+from tests.faults.results import conclude
 from tests.faults.trials import build_store
 
 TOKENS = [
@@ -191,11 +191,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         counts, faults = fuzz(given.count, given.seed, Path(folder))
-    sys.stdout.write(json.dumps({"fuzzed": report(counts), "faults": faults[:50]}, indent=2) + "\n")
-    sys.exit(bool(faults))
+    conclude("damaged inputs", {"seed": given.seed, "inputs": report(counts)}, faults, given.out)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ import collections
 import json
 import random
 import shutil
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -28,6 +27,7 @@ from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.housekeeping import collect, find_damage
 from tests.faults.kills import try_kill
+from tests.faults.results import conclude
 
 RESULTS = 4
 Counts = collections.Counter[str]
@@ -184,16 +184,11 @@ def main() -> None:
     parser.add_argument("--corruptions", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="no kill is begun later")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder), given.minutes)
-    figures = {"seed": given.seed, "trials": dict(sorted(counts.items())), "failed": len(faults), "faults": faults}
-    text = json.dumps(figures, indent=2) + "\n"
-    sys.stdout.write(text)
-    if given.out is not None:
-        given.out.write_text(text)
-    sys.exit(bool(faults))
+    conclude("kills and corruptions", {"seed": given.seed, "trials": dict(sorted(counts.items()))}, faults, given.out)
 
 
 if __name__ == "__main__":

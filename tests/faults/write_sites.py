@@ -11,7 +11,6 @@ succeed, and everything that can be seen has to be whole.
 import argparse
 import errno
 import itertools
-import json
 import shutil
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.store import FolderStore
 from inpaint3d.orchestrator.housekeeping import find_damage
+from tests.faults.results import conclude
 
 WIDTH = 1
 CODES = {"ENOSPC": 5, "EIO": 5, "EROFS": 5, "EMFILE": 75}
@@ -117,6 +117,7 @@ def main() -> None:
     parser.add_argument("--errors", nargs="+", default=list(CODES), choices=list(CODES))
     parser.add_argument("--first", type=int, default=1)
     parser.add_argument("--last", type=int, default=1000)
+    parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
     given = parser.parse_args()
     counts: dict[str, int] = {}
     faults: list[str] = []
@@ -125,8 +126,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 counts[f"{kind} {error}"], found = try_all(kind, error, Path(folder), given.first, given.last)
             faults += found
-    sys.stdout.write(json.dumps({"write sites": counts, "faults": faults}, indent=2) + "\n")
-    sys.exit(bool(faults))
+    conclude("write sites", {"writes": counts}, faults, given.out)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,16 @@
+"""The figures of all fault trials in one file: each program writes what it counted, and keeps what others did."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def conclude(section: str, figures: dict[str, Any], faults: list[str], out: Path | None) -> None:
+    """Print a section with its faults, put it into the file `out` where one is given, and exit: 1 where faults are."""
+    made = {section: figures | {"failed": len(faults), "faults": faults[:50]}}
+    sys.stdout.write(json.dumps(made, indent=2) + "\n")
+    if out is not None:
+        kept = json.loads(out.read_text()) if out.exists() else {}
+        out.write_text(json.dumps(kept | made, indent=2) + "\n")
+    sys.exit(bool(faults))
