@@ -46,13 +46,17 @@ def test_every_component_counts(change):
 
 @pytest.mark.parametrize(
     ("flags", "name"),
-    [("avx2 fma sse", "avx2"), ("avx512f avx512dq avx512vl avx512bw fma avx2", "avx512"), ("sse2 avx2", "")],
+    [
+        ("avx2 fma sse", "avx2"),
+        ("avx512f avx512dq avx512vl avx512bw fma avx2", "avx512"),
+        ("amx_bf16 avx512f avx512dq avx512vl avx512bw fma avx2", "amx"),
+        ("sse2 avx2", ""),
+    ],
 )
-def test_the_instruction_set_counts_where_something_is_computed(monkeypatch, flags, name):
-    keys.find_instruction_set.cache_clear()
-    monkeypatch.setattr(keys.Path, "read_text", lambda _: f"model name: x\nflags\t\t: {flags}\n")
-    found = keys.find_instruction_set()
-    keys.find_instruction_set.cache_clear()
-    assert found.split("-")[1:] == ([name] if name else [])
+def test_the_widest_vectors_of_a_processor(flags, name):
+    assert keys.name_widest_vectors(set(flags.split())) == name
+
+
+def test_the_instruction_set_counts_where_something_is_computed():
     assert "instruction_set" in keys.key_components(SPEC, **BASE)
     assert "instruction_set" not in keys.key_components(SPEC, **BASE, stub=True)

@@ -57,9 +57,13 @@ def find_instruction_set() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    flags = set(next((line for line in lines if line.startswith("flags")), "").partition(":")[2].split())
-    widest = next((name for name, needed in VECTORS.items() if needed <= flags), "")
-    return "-".join(part for part in (platform.machine(), widest) if part)
+    flags = next((line for line in lines if line.startswith("flags")), "").partition(":")[2].split()
+    return "-".join(part for part in (platform.machine(), name_widest_vectors(set(flags))) if part)
+
+
+def name_widest_vectors(flags: set[str]) -> str:
+    """The first of VECTORS that a processor with these flags has; empty for none."""
+    return next((name for name, needed in VECTORS.items() if needed <= flags), "")
 
 
 def run_key(components: dict[str, Any]) -> Digest:
