@@ -27,7 +27,7 @@ def test_what_no_wanted_result_reads_is_left_out(toy):
         "initial-field": ["known.radiance-field"],
     }
     assert plain.pipeline.references("score") == {"fields": ["join.radiance-field", "known.radiance-field"]}
-    assert [(r.node, r.status) for r in plain.left_out_rows()] == [("train", "left-out"), ("control", "left-out")]
+    assert [(r.node, r.status) for r in plain.left_out_rows] == [("train", "left-out"), ("control", "left-out")]
 
 
 def test_a_parameter_says_what_is_read(toy):

@@ -11,7 +11,7 @@ from typing import Any
 import typer.main
 import yaml
 
-from inpaint3d.orchestrator.cli import app
+from inpaint3d.orchestrator.cli import add_other_commands
 from tests.conftest import REPOSITORY
 
 WORD = re.compile(r"[\w-]+")
@@ -103,7 +103,7 @@ def commands() -> dict[str, set[str]]:
             found |= walk(child, f"{name} {child.name}".strip())
         return found
 
-    return walk(typer.main.get_command(app), "")
+    return walk(typer.main.get_command(add_other_commands()), "")
 
 
 @cache

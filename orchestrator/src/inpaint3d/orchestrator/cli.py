@@ -21,7 +21,6 @@ from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import open_store
-from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, paint_cli
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
@@ -58,6 +57,9 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inp
 
 def main() -> None:
     """Entry point: every foreseen error becomes one clear message and its documented exit code."""
+    # What is started most often does not wait for the imports of the other commands.
+    if sys.argv[1:2] not in ([name] for name in ("run", "plan", "validate")):
+        add_other_commands()
     try:
         app(standalone_mode=True)
     except Inpaint3dError as error:
@@ -225,8 +227,13 @@ def validate(pipeline: PipelinePath = None) -> None:
     sys.stdout.write(f"{checked.path}: {len(names)} stages: {', '.join(names)}\n")
 
 
-app.add_typer(cluster_cli.emit_app, name="emit")
-app.add_typer(dev_cli.dev_app, name="dev")
-app.add_typer(paint_cli.paint_app, name="paint")
-cluster_cli.add_to(app)
-history_cli.add_to(app)
+def add_other_commands() -> typer.Typer:
+    """The program with the commands of all modules."""
+    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, paint_cli
+
+    app.add_typer(cluster_cli.emit_app, name="emit")
+    app.add_typer(dev_cli.dev_app, name="dev")
+    app.add_typer(paint_cli.paint_app, name="paint")
+    cluster_cli.add_to(app)
+    history_cli.add_to(app)
+    return app

@@ -1,5 +1,6 @@
 """From what a command line asks to what runs: every parameter and seed known, nodes that nobody asks for left out."""
 
+import functools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
@@ -36,9 +37,10 @@ class ConfiguredPipeline:
     left_out: dict[str, str]
     """Node -> why it does not run."""
 
-    def left_out_rows(self) -> list[NodeRun]:
+    @functools.cached_property
+    def left_out_rows(self) -> tuple[NodeRun, ...]:
         """As a run's record has them."""
-        return [NodeRun(node=node, status="left-out", reason=reason) for node, reason in self.left_out.items()]
+        return tuple(NodeRun(node=node, status="left-out", reason=why) for node, why in self.left_out.items())
 
 
 def configure(

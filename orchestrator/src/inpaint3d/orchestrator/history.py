@@ -4,7 +4,7 @@ import datetime
 import os
 import platform
 import secrets
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from inpaint3d.contracts.errors import ConfigurationError
@@ -56,13 +56,16 @@ class History:
             return record
         raise ConfigurationError(f"no run is called {name}; there are {', '.join(self.names()) or 'none yet'}")
 
-    def last_key_of(self, name: str, node: str) -> NodeRun | None:
-        """The newest run of a node that had a result, under this name."""
+    def last_results(self, name: str, nodes: Collection[str]) -> dict[str, NodeRun]:
+        """Of each of these nodes the newest run under this name that had a result."""
+        found: dict[str, NodeRun] = {}
         for record in self.of(name):
             for run in record.nodes:
-                if run.node == node and run.status in ("done", "cached"):
-                    return run
-        return None
+                if run.node in nodes and run.status in ("done", "cached"):
+                    found.setdefault(run.node, run)
+            if len(found) == len(nodes):
+                break
+        return found
 
     def close_killed(self, name: str) -> None:
         """End the records of runs that were killed before they could do so themselves."""

@@ -1,5 +1,6 @@
 """What a run would do, and why: the key of every node against what the store holds and what the last run used."""
 
+import functools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,13 +13,15 @@ from inpaint3d.contracts.kit.keys import Inputs, key_components, run_key
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.cluster import Image
 from inpaint3d.contracts.models.pipeline import Pipeline
-from inpaint3d.contracts.models.report import Change, NodeRun
+from inpaint3d.contracts.models.report import Change, NodeRun, Status
 from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Record, Store
 from inpaint3d.orchestrator.configure import ConfiguredPipeline
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import MASK_REQUEST, find_unknown_view
 from inpaint3d.orchestrator.options import Force, From, Only, Until
+
+NOT_SELECTED = "not selected, and the store has no result"
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,11 @@ class Planner:
     """What the stages run in, where that is not this machine's own environment: their digests stand for the code."""
     outputs: dict[str, dict[str, Digest]] = field(default_factory=dict[str, dict[str, Digest]])
 
+    @functools.cached_property
+    def _before(self) -> dict[str, NodeRun]:
+        """What earlier runs of this name had; read once, since all nodes ask."""
+        return self.history.last_results(self.name, self.pipeline.order)
+
     @property
     def pipeline(self) -> Pipeline:
         """The nodes that run."""
@@ -91,7 +99,7 @@ class Planner:
 
     def known(self, node: str) -> bool:
         """Whether everything upstream of the node has a result."""
-        return self.pipeline.upstream(node) <= set(self.outputs)
+        return self.pipeline.upstream(node) <= self.outputs.keys()
 
     def task(self, node: str, *, force: bool = False) -> Task:
         """Key, stored result and reason of a node whose upstream is known."""
@@ -110,7 +118,7 @@ class Planner:
         if force:
             self.store.forget(key)
         record = self.store.lookup(key)
-        before = self.history.last_key_of(self.name, node)
+        before = self._before.get(node)
         reason, changes = explain(components, key, before, record, force=force)
         return Task(node, key, components, inputs, record, reason, name_changed_files(changes, self.store))
 
@@ -135,7 +143,7 @@ class Planner:
         ports = self.pipeline.stages[node].spec.inputs
         inputs: Inputs = {}
         for port, references in self.pipeline.references(node).items():
-            found = [d for d in map(self._digest, references) if d is not None]
+            found = [d for r in references if (d := self._digest(r)) is not None]
             if found:
                 inputs[port] = found if ports[port].list else found[0]
             elif not ports[port].optional:
@@ -143,7 +151,7 @@ class Planner:
         return inputs
 
     def _digest(self, reference: str) -> Digest | None:
-        source, name = reference.split(".")
+        source, _, name = reference.partition(".")
         return self.externals.get(name) if source == "external" else self.outputs[source].get(name)
 
 
@@ -183,7 +191,7 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
     chosen = set(selection.nodes(planner.pipeline))
     rows: list[NodeRun] = []
     for node in planner.pipeline.order:
-        waiting = sorted(planner.pipeline.upstream(node) - set(planner.outputs))
+        waiting = sorted(planner.pipeline.upstream(node) - planner.outputs.keys())
         if waiting:
             reason = f"after {', '.join(waiting)}"
             rows.append(NodeRun(node=node, status="pending" if node in chosen else "skipped", reason=reason))
@@ -193,32 +201,29 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
             planner.outputs[node] = task.record.outputs
             if (problem := planner.request_problem(node)) is not None:
                 raise ConfigurationError(problem)
-            rows.append(add_result(_row(task, "cached", task.reason), task.record))
+            rows.append(describe_node(task, "cached", record=task.record))
         elif node in chosen:
-            rows.append(_row(task, "pending", "forced" if selection.force else task.reason))
+            rows.append(describe_node(task, "pending", "forced" if selection.force else None))
         else:
-            rows.append(_row(task, "skipped", "not selected, and the store has no result"))
-    return [*rows, *planner.configured.left_out_rows()]
+            rows.append(describe_node(task, "skipped", NOT_SELECTED))
+    return [*rows, *planner.configured.left_out_rows]
 
 
-def _row(task: Task, status: Any, reason: str) -> NodeRun:
+def describe_node(task: Task, status: Status, reason: str | None = None, record: Record | None = None) -> NodeRun:
+    """A node's run; with its result's record also outputs, and the cost of computing them."""
+    made: dict[str, Any] = {}
+    if record is not None:
+        costs = {name: record.timings.get(name) for name in ("wall_s", "cpu_s", "peak_memory_bytes")}
+        non_finite = record.timings.get("non_finite", {})
+        made = {"outputs": record.outputs, "non_finite": non_finite, "doubts": record.doubts, **costs}
     return NodeRun(
-        node=task.node, status=status, reason=reason, changes=task.changes, key=task.key, components=task.components
-    )
-
-
-def add_result(run: NodeRun, record: Record) -> NodeRun:
-    """A node's run with what its result's record says: outputs, and the cost of computing them."""
-    timings = record.timings
-    return run.model_copy(
-        update={
-            "outputs": record.outputs,
-            "wall_s": timings.get("wall_s"),
-            "cpu_s": timings.get("cpu_s"),
-            "peak_memory_bytes": timings.get("peak_memory_bytes"),
-            "non_finite": timings.get("non_finite", {}),
-            "doubts": record.doubts,
-        }
+        node=task.node,
+        status=status,
+        reason=task.reason if reason is None else reason,
+        changes=task.changes,
+        key=task.key,
+        components=task.components,
+        **made,
     )
 
 

@@ -27,7 +27,7 @@ from inpaint3d.contracts.models.stage import count_cpus
 from inpaint3d.contracts.store import Record, this_process
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.orchestrator.intake import MASK_REQUEST
-from inpaint3d.orchestrator.plan import Planner, Selection, Task, add_result
+from inpaint3d.orchestrator.plan import NOT_SELECTED, Planner, Selection, Task, describe_node
 from inpaint3d.orchestrator.progress import Display
 from inpaint3d.orchestrator.runners.process import Event, ProcessRunner, Runner, RunningStage, Starter
 
@@ -87,7 +87,7 @@ class Scheduler:
         return self._finish()
 
     def _go_along(self) -> None:
-        for row in self.planner.configured.left_out_rows():
+        for row in self.planner.configured.left_out_rows:
             self.display.node(row.node, row.status, row.reason)
         while True:
             progressed = self._settle()
@@ -100,7 +100,7 @@ class Scheduler:
         with contextlib.suppress(OSError):  # what failed may be the display
             self.display.close()
         for node in self._running:
-            self._results[node] = self._node_run(self._tasks[node], "stopped").model_copy(update={"error": message})
+            self._results[node] = describe_node(self._tasks[node], "stopped").model_copy(update={"error": message})
         self._running.clear()
         self._add_missing()
         self.record = self.record.model_copy(update={"error": message})
@@ -123,7 +123,7 @@ class Scheduler:
                 self._accept(task, "cached", task.record)
                 progressed = True
             elif node not in self._chosen:
-                self._close(task, "skipped", reason="not selected, and the store has no result")
+                self._close(task, "skipped", reason=NOT_SELECTED)
             elif self._may_start() and (threads := self._room(node)) > 0:
                 self._start(task, threads)
                 progressed = True
@@ -211,7 +211,7 @@ class Scheduler:
         self._close(task, status, error=message, exit_code=code)
 
     def _accept(self, task: Task, status: Status, record: Record) -> None:
-        run = add_result(self._node_run(task, status), record)
+        run = describe_node(task, status, record=record)
         if run.doubts and not self.accept_doubtful:
             doubt = DoubtfulError(run.doubts)
             run = run.model_copy(update={"status": "failed", "error": str(doubt), "exit_code": doubt.exit_code})
@@ -236,20 +236,10 @@ class Scheduler:
                 self.display.node(node, "failed", error=problem)
 
     def _close(self, task: Task, status: Status, reason: str | None = None, **values: Any) -> None:
-        run = self._node_run(task, status).model_copy(update={"reason": reason or task.reason, **values})
+        run = describe_node(task, status, reason).model_copy(update=values)
         self._results[task.node] = run
         self.display.node(task.node, status, run.reason, **{k: v for k, v in values.items() if v is not None})
         self._save("running")
-
-    def _node_run(self, task: Task, status: Status) -> NodeRun:
-        return NodeRun(
-            node=task.node,
-            status=status,
-            reason=task.reason,
-            changes=task.changes,
-            key=task.key,
-            components=task.components,
-        )
 
     def _finish(self) -> RunRecord:
         statuses = {r.status for r in self._results.values()}
@@ -270,13 +260,13 @@ class Scheduler:
         """Nodes that never had their turn."""
         missing = [n for n in self.planner.pipeline.order if n not in self._results]
         for node in missing:
-            waits_for = sorted(self.planner.pipeline.upstream(node) - set(self.planner.outputs))
+            waits_for = sorted(self.planner.pipeline.upstream(node) - self.planner.outputs.keys())
             what = "pending" if node in self._chosen else "skipped"
             self._results[node] = NodeRun(node=node, status=what, reason=f"after {', '.join(waits_for)}")
 
     def _save(self, status: RunStatus, *, finished: bool = False) -> None:
         ordered = [self._results[n] for n in self.planner.pipeline.order if n in self._results]
-        nodes = (*ordered, *self.planner.configured.left_out_rows())
+        nodes = (*ordered, *self.planner.configured.left_out_rows)
         update: dict[str, Any] = {"status": status, "nodes": nodes}
         if finished:
             update["finished"] = datetime.datetime.now(datetime.UTC).isoformat()

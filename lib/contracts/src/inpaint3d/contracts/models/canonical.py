@@ -9,12 +9,13 @@ from typing import Any
 from inpaint3d.contracts.errors import ConfigurationError
 
 CHUNK = 1 << 20
+_ENCODER = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
 def canonical_json(value: Any) -> bytes:
     """Sorted keys, no white space, UTF-8, shortest floats; NaN and infinity are refused (RFC 8785 in spirit)."""
     try:
-        text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+        text = _ENCODER.encode(value)
     except ValueError as error:
         raise ConfigurationError(f"a value cannot be written as JSON ({error}); use finite numbers") from error
     return text.encode()

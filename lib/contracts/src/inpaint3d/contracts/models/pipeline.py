@@ -113,6 +113,7 @@ class Pipeline:
                 self._fail(("spec", "stages", i, "stage"), f"{node.name}: there is no {file}")
             self.nodes[node.name] = node
             self.stages[node.name] = load_stage(file)
+        self._wire()
         for i, node in enumerate(self.spec.spec.stages):
             self._check_ports(i, node)
         self.order = self._sort_nodes()
@@ -145,17 +146,27 @@ class Pipeline:
             for name, node in self.nodes.items()
             if name in inputs
         }
+        chosen._wire()
         return chosen
 
-    def references(self, node: str) -> dict[str, list[str]]:
-        """Input port -> references, single ones as a list of one."""
-        wired = self.nodes[node].inputs
-        return {port: value if isinstance(value, list) else [value] for port, value in wired.items()}
+    def _wire(self) -> None:
+        """Who reads what, once: planning asks for it at every node of every scene."""
+        self._references: dict[str, dict[str, list[str]]] = {
+            name: {port: value if isinstance(value, list) else [value] for port, value in node.inputs.items()}
+            for name, node in self.nodes.items()
+        }
+        self._upstream = {
+            name: frozenset(ref.split(".")[0] for refs in ports.values() for ref in refs) - {"external"}
+            for name, ports in self._references.items()
+        }
 
-    def upstream(self, node: str) -> set[str]:
+    def references(self, node: str) -> Mapping[str, list[str]]:
+        """Input port -> references, single ones as a list of one."""
+        return self._references[node]
+
+    def upstream(self, node: str) -> frozenset[str]:
         """The nodes that a node reads from directly."""
-        sources = {ref.split(".")[0] for refs in self.references(node).values() for ref in refs}
-        return sources - {"external"}
+        return self._upstream[node]
 
     def downstream(self, node: str) -> set[str]:
         """Every node that depends on this one, however far."""
