@@ -34,6 +34,7 @@ test: .venv/.installed ## all tests: fast ones first, the real small pipeline la
 
 test-faults: .venv/.installed ## kills, corruptions, damaged inputs, writes that fail, counted; hours [TRIALS="--kills 1000 --corruptions 500"]
 	$(TEST_ENV) .venv/bin/python -m tests.faults.trials --out benchmarks/results/reliability.json $(TRIALS)
+	$(TEST_ENV) .venv/bin/python -m tests.faults.training_kills --out benchmarks/results/reliability.json
 	$(TEST_ENV) .venv/bin/python -m tests.faults.fuzz --out benchmarks/results/reliability.json
 	$(TEST_ENV) .venv/bin/python -m tests.faults.write_sites --out benchmarks/results/reliability.json
 	$(TEST_ENV) .venv/bin/python -m tests.faults.beside_gc --out benchmarks/results/reliability.json

@@ -9,6 +9,7 @@ import ast
 import itertools
 import json
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -17,6 +18,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import pytest
 
@@ -155,6 +157,10 @@ class Mutant:
         return f"{self.file}:{max(around, key=lambda node: node.lineno).name if around else '<module>'}"
 
     @property
+    def identity(self) -> tuple[str, str, str, int]:
+        return self.file, self.before, self.after, self.line
+
+    @property
     def name(self) -> str:
         return f"{Path(self.file).name}: {self.before.strip()} -> {self.after.strip() or 'nothing'}"
 
@@ -228,11 +234,14 @@ def survives(mutant: Mutant, calls: Calls) -> tuple[bool, float]:
     return alive, time.monotonic() - begun
 
 
-def record_calls() -> Calls:
-    """FILE:FUNCTION -> the tests that call it, the quickest first; RuntimeError where a test fails without any change."""
+def record_calls(files: set[str]) -> Calls:
+    """FILE:FUNCTION -> the tests that call it, the quickest first, of those that are about these files.
+
+    RuntimeError where one fails without any change.
+    """
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "calls.json"
-        tests = sorted({test for related in RELATED.values() for test in related})
+        tests = sorted({test for file in files for test in RELATED[file]})
         if _run_tests(None, tests, out) != 0:
             raise RuntimeError("the related tests fail without any change; mend them first")
         found = json.loads(out.read_text())
@@ -303,28 +312,35 @@ def _run_pytest(sources: Path | None, tests: list[str], calls: Path | None) -> i
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks/results/mutation.json")
-    parser.add_argument("--only", default="", help="mutants whose name holds this")
+    parser.add_argument("--only", default="", help="mutants whose file and name match this; others stay as they are")
+    parser.add_argument("--missing", action="store_true", help="only those that are not in the table yet")
     parser.add_argument("--list", action="store_true", help="name them, run nothing")
     options = parser.parse_args()
-    mutants = [m for m in find_mutants() if options.only in m.name]
+    mutants = find_mutants()
+    known = json.loads(options.out.read_text())["rows"] if options.out.exists() else []
+    rows = {(row["file"], row["before"], row["after"], row["line"]): row for row in known}
+    chosen = [m for m in mutants if re.search(options.only, f"{m.file} {m.name}")]
+    chosen = [m for m in chosen if not (options.missing and m.identity in rows)]
     if options.list:
-        print("\n".join(f"{m.file}:{m.line} {m.name}" for m in mutants), f"\n{len(mutants)} mutants")
+        print("\n".join(f"{m.file}:{m.line} {m.name}" for m in chosen), f"\n{len(chosen)} mutants")
         return
     # What every child needs, imported once; nothing of ours, and nothing that pytest loads as a plugin.
     for module in ("numpy", "scipy.ndimage", "torch", "cv2", "OpenImageIO"):
         __import__(module)
-    calls = record_calls()
-    rows = []
-    for number, mutant in enumerate(mutants):
+    calls = record_calls({m.file for m in chosen})
+    for number, mutant in enumerate(chosen):
         alive, seconds = survives(mutant, calls)
-        print(
-            f"{number + 1}/{len(mutants)} {'SURVIVED' if alive else 'killed'} {seconds:.0f} s {mutant.name}", flush=True
-        )
+        said = "SURVIVED" if alive else "killed"
+        print(f"{number + 1}/{len(chosen)} {said} {seconds:.0f} s {mutant.name}", flush=True)
         row = {k: v for k, v in asdict(mutant).items() if k != "offset"} | {"survived": alive}
-        rows.append(row | ({"explanation": EXPLAINED.get(mutant.name, "")} if alive else {}))
-        if not options.only:
-            summary = {"mutants": len(mutants), "run": len(rows), "survived": sum(r["survived"] for r in rows)}
-            options.out.write_text(json.dumps(summary | {"rows": rows}, indent=1) + "\n")
+        rows[mutant.identity] = row | ({"explanation": EXPLAINED.get(mutant.name, "")} if alive else {})
+        write_table(options.out, [rows[m.identity] for m in mutants if m.identity in rows], len(mutants))
+
+
+def write_table(out: Path, rows: list[dict[str, Any]], mutants: int) -> None:
+    """The mutants that there are, with what became of those that were tried."""
+    summary = {"mutants": mutants, "run": len(rows), "survived": sum(row["survived"] for row in rows)}
+    out.write_text(json.dumps(summary | {"rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,15 +1,22 @@
 """Small samples of `make test-faults`."""
 
-import pytest
+import json
+import subprocess
+import sys
 
-from tests.faults import beside_gc, fuzz, write_sites
-from tests.faults.trials import carry_out
+from tests.conftest import REPOSITORY
+from tests.faults import beside_gc, fuzz
+from tests.faults.kills import VICTIMS
 
 
-def test_nothing_is_lost_half_there_or_wrong(tmp_path):
-    counts, faults = carry_out(kills=2, corruptions=60, seed=1, folder=tmp_path)
-    assert faults == []
-    assert sum(counts.values()) == 62
+def test_nothing_is_lost_half_there_or_wrong():
+    line = [sys.executable, "-W", "ignore", "-m", "tests.faults.trials", "--kills", "3", "--corruptions", "60"]
+    told = subprocess.run([*line, "--seed", "1"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert told.returncode == 0, told.stdout + told.stderr
+    counts = json.loads(told.stdout)["kills and corruptions"]["trials"]
+    assert sum(n for what, n in counts.items() if what.startswith("corrupted")) == 60
+    assert sum(n for what, n in counts.items() if what.removeprefix("killed ") in (*VICTIMS, "group")) >= 3
+    assert counts["killed and run to its end"] >= 1
     assert {"corrupted checkpoint", "corrupted key", "corrupted lock", "corrupted object", "corrupted record"} < set(
         counts
     )
@@ -23,11 +30,14 @@ def test_damaged_inputs_are_read_or_refused_and_nothing_else(tmp_path):
     assert sum(outcomes["read"] for outcomes in counts.values()) > 0
 
 
-@pytest.mark.parametrize(("error", "at"), [("ENOSPC", 5), ("EMFILE", 2)])
-def test_a_stage_whose_write_fails_ends_as_documented_and_goes_on(tmp_path, error, at):
-    there, faults = write_sites.try_site("stage", error, at, tmp_path)
-    assert there
-    assert faults == []
+def test_runs_and_stages_whose_write_fails_end_as_documented_and_go_on():
+    line = [sys.executable, "-W", "ignore", "-m", "tests.faults.write_sites", "--errors", "ENOSPC", "EMFILE"]
+    told = subprocess.run(
+        [*line, "--first", "5", "--last", "5"], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    writes = json.loads(told.stdout)["write sites"]["writes"]
+    assert writes == {"run ENOSPC": 1, "run EMFILE": 1, "stage ENOSPC": 1, "stage EMFILE": 1}
 
 
 def test_gc_takes_nothing_from_those_who_commit(tmp_path):

@@ -11,58 +11,64 @@ succeed, and everything that can be seen has to be whole.
 import argparse
 import errno
 import itertools
+import os
+import runpy
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from benchmarks.overhead import write_ours
 
+import inpaint3d
 from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.store import FolderStore
 from inpaint3d.orchestrator.housekeeping import find_damage
+from tests.faults.forks import fork, wait_for
+from tests.faults.kills import start_run
 from tests.faults.results import conclude
 
 WIDTH = 1
 CODES = {"ENOSPC": 5, "EIO": 5, "EROFS": 5, "EMFILE": 75}
 FIRED = "a fault was told of"
-# Python imports it in each process that has its folder on its path. Stages do not inherit the variable.
-SITECUSTOMIZE = f"""
-import os, sys
-if fault := os.environ.get("FAULT"):
-    at, number = map(int, fault.split(":"))
+WRITING = ("os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.symlink", "os.chmod")
+Become = Callable[[], None]
+"""What a forked process does."""
+
+
+def fail_at(at: int, number: int) -> None:
+    """Have this process's n-th writing call in a store or a run's folder raise an OSError; what it starts is spared."""
     seen = 0
-    def hook(event, arguments):
-        global seen
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        nonlocal seen
         if event == "open":
-            writes = isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT)
+            writes = isinstance(arguments[2], int) and bool(arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
         else:
-            writes = event in ("os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.symlink", "os.chmod")
+            writes = event in WRITING
         if writes and any(part in str(arguments[0]) for part in ("/store/", "/runs/")):
             seen += 1
             if seen == at:
-                sys.stderr.write("{FIRED}\\n")
+                sys.stderr.write(f"{FIRED}\n")
                 raise OSError(number, os.strerror(number), str(arguments[0]))
+
     sys.addaudithook(hook)
-"""
-Command = tuple[list[str], dict[str, str], Path]
-"""Line, environment, working folder."""
 
 
-def write_run(folder: Path) -> Command:
+def write_run(folder: Path) -> Become:
     """A run of a few no-op stages: the orchestrator's own writes."""
     system = write_ours(folder, WIDTH)
-    (folder / "stage" / "src" / "sitecustomize.py").write_text(SITECUSTOMIZE)
-    line = [*system.command, "--store", str(folder / "store"), "--runs-dir", str(folder / "runs")]
-    return line, system.environment, folder
+    places = ["--store", str(folder / "store"), "--runs-dir", str(folder / "runs")]
+    return lambda: start_run(replace(system, command=[*system.command, *places]))
 
 
-def write_stage(folder: Path) -> Command:
+def write_stage(folder: Path) -> Become:
     """A no-op stage by itself: the writes of a stage."""
-    _, environment, _ = write_run(folder)
+    system = write_ours(folder, WIDTH)
     store = FolderStore(folder / "store")
     private = store.private_folder()
     (private / "raw").mkdir()
@@ -70,30 +76,36 @@ def write_stage(folder: Path) -> Command:
     digest = store.put(private, "source", Source(name="a", kind="folder"))
     invocation = Invocation(parameters={"number": 0}, inputs={"source": [digest]})
     (folder / "invocation.json").write_text(invocation.model_dump_json())
-    line = [sys.executable, "-m", "inpaint3d.stages.noop", "run", "--store", str(folder / "store")]
-    return [*line, "--invocation", str(folder / "invocation.json")], environment, folder
+
+    def become() -> None:
+        # Where our packages lie was looked up before this one was written.
+        inpaint3d.__path__.append(str(Path(system.environment["PYTHONPATH"], "inpaint3d")))
+        sys.path.insert(0, system.environment["PYTHONPATH"])
+        sys.argv = ["run", "run", "--store", str(store.root), "--invocation", str(folder / "invocation.json")]
+        runpy.run_module("inpaint3d.stages.noop", run_name="__main__", alter_sys=True)
+
+    return become
 
 
-KINDS: dict[str, Callable[[Path], Command]] = {"run": write_run, "stage": write_stage}
+KINDS: dict[str, Callable[[Path], Become]] = {"run": write_run, "stage": write_stage}
 
 
 def try_site(kind: str, error: str, at: int, folder: Path) -> tuple[bool, list[str]]:
     """Whether there is an n-th write, and what went wrong when it failed."""
-    line, environment, folder = KINDS[kind](folder)
+    become, said, number = KINDS[kind](folder), folder / "stderr.txt", getattr(errno, error)
 
-    def start(**extra: str) -> subprocess.CompletedProcess[str]:
-        variables = {**environment, **extra}
-        return subprocess.run(line, cwd=folder, env=variables, capture_output=True, text=True, check=False)
+    def harmed() -> None:
+        fail_at(at, number)
+        become()
 
-    number = getattr(errno, error)
-    harmed = start(FAULT=f"{at}:{number}")
-    if FIRED not in harmed.stderr:
+    code = wait_for(fork(harmed, said))
+    if FIRED not in said.read_text():
         return False, []
     faults: list[str] = []
-    if harmed.returncode not in (0, CODES[error]):
-        faults.append(f"exit {harmed.returncode}: {harmed.stderr[-600:]}")
-    if (again := start()).returncode != 0:
-        faults.append(f"and then, exit {again.returncode}: {again.stderr[-600:]}")
+    if code not in (0, CODES[error]):
+        faults.append(f"exit {code}: {said.read_text()[-600:]}")
+    if code := wait_for(fork(become, said)):
+        faults.append(f"and then, exit {code}: {said.read_text()[-600:]}")
     faults += [damage.what for damage in find_damage(FolderStore(folder / "store"))]
     return True, [f"{kind}, {error} at write {at}: {fault}" for fault in faults]
 

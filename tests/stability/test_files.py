@@ -1,6 +1,7 @@
 """Files that say something strange: what is read is finite and in known units, or refused by name."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +20,16 @@ from tests.stability.catalogue import hard_case
 FILES = "Files"
 
 
-def write_float(path: Path, pixels: np.ndarray) -> None:
+def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = ()) -> None:
     """An EXR of any numbers, as other programs write them; ours refuses to write what is not finite."""
     import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 
     h, w, c = pixels.shape
     output = oiio.ImageOutput.create(str(path))
-    output.open(str(path), oiio.ImageSpec(w, h, c, oiio.FLOAT))
+    spec = oiio.ImageSpec(w, h, c, oiio.FLOAT)
+    if channels:
+        spec.channelnames = tuple(channels)
+    output.open(str(path), spec)
     output.write_image(np.ascontiguousarray(pixels, np.float32))
     output.close()
 

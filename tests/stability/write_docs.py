@@ -57,6 +57,15 @@ def write_faults() -> str:
     return "\n".join(lines) + "\n"
 
 
+def write_stage_faults() -> str:
+    """What was put into what stages read, and what they say."""
+    from tests.stability.stage_faults import FAULTS
+
+    lines = ["| put in | the message says (exit code 3) |", "|---|---|"]
+    lines += [f"| {fault.what} | {_cell(f'`{_readable(fault.said)}`')} |" for fault in FAULTS]
+    return "\n".join(lines) + "\n"
+
+
 def write_invariance() -> str:
     """Figures of `benchmarks.invariance`, as far as they were measured."""
     found = json.loads((ROOT / "benchmarks/results/invariance.json").read_text())
@@ -78,7 +87,12 @@ def _cell(text: str) -> str:
 
 def fill_page(text: str) -> str:
     """The page with its tables as they are now, between their marks."""
-    tables = {"cases": write_cases(), "faults": write_faults(), "invariance": write_invariance()}
+    tables = {
+        "cases": write_cases(),
+        "faults": write_faults(),
+        "stage-faults": write_stage_faults(),
+        "invariance": write_invariance(),
+    }
     for name, table in tables.items():
         text = re.sub(
             rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", lambda m, t=table: m[1] + t + m[2], text, flags=re.DOTALL

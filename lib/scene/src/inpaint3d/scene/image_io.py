@@ -202,11 +202,15 @@ def write_mask(path: Path, mask: ArrayLike) -> None:
 
 
 def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    """Every channel of an EXR by name, float32 [h, w] each."""
+    """Every channel of an EXR by name, float32 [h, w] each. BadInputError where one holds what is not finite."""
     buffer = _open(path)
     names = buffer.spec().channelnames
     pixels = _pixels(buffer, path)
-    return {str(name): np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
+    channels = {str(name): np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
+    if strange := find_non_finite(channels):
+        told = ", ".join(map(str, strange))
+        raise BadInputError(f"{path} holds numbers that are not finite: {told}; run the stage that wrote it again")
+    return channels
 
 
 def write_exr(path: Path, channels: dict[str, ArrayLike], *, half: bool = False) -> None:
