@@ -77,3 +77,10 @@ def test_a_scheduled_time_is_as_noisy_as_its_schedule(schedule, log_snr) -> None
     t = torch.linspace(0.01, 0.99, 50, dtype=torch.float64)
     torch.testing.assert_close(cosine_log_snr(cosine_time_of(t, schedule, 256)), log_snr(t))
     assert torch.equal(cosine_time_of(t, "cosine", 256), t)
+
+
+@pytest.mark.parametrize("schedule", [cosine_log_snr, linear_log_snr])
+def test_a_narrower_clamp_holds_at_both_ends(schedule) -> None:
+    """The linear schedule ends at -10: clamping the time bounds it on one side alone."""
+    ends = schedule(torch.tensor([0.0, 1.0], dtype=torch.float64), clamp=5.0)
+    assert ends.tolist() == pytest.approx([5, -5], abs=1e-6)
