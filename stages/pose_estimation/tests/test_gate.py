@@ -92,3 +92,10 @@ def test_small_sets_match_all_pairs_and_walks_their_neighbours():
     assert ("000", "020") in walk
     assert ("000", "039") in walk  # closes a loop
     assert all(a < b for a, b in walk)
+
+
+def test_cameras_of_which_most_stand_in_one_point_have_no_far_one():
+    """Of a tripod with a step aside: nothing is usual to be so many times as far as."""
+    centres = np.zeros((5, 3))
+    centres[4, 0] = 0.1
+    check_spread(centres, [f"frame_{i}" for i in range(5)])
