@@ -84,13 +84,13 @@ def copy_patches(
     known = source & ~hole
     levels = 1
     while (
-        np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(known, _level_size(hole, levels)).sum() > MIN_SOURCE
+        np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(known, _shrink_size(hole, levels)).sum() > MIN_SOURCE
     ):
         levels += 1
-    shown = np.where(hole[..., None], 0, image), GRADIENT_WEIGHT * _mean_gradients(image, ~hole)
+    shown = np.where(hole[..., None], 0, image), GRADIENT_WEIGHT * _measure_gradients(image, ~hole)
     made: tuple[Picture, Origins] | None = None
     for level in reversed(range(levels)):
-        size = _level_size(hole, level)
+        size = _shrink_size(hole, level)
         clear = _average_cells(~hole, size)
         means = np.concatenate([_average_cells(part, size) for part in shown], -1)
         picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None]).to(device)
@@ -293,7 +293,7 @@ def _draw_steps(count: int, generator: torch.Generator) -> Int64[Tensor, "2 n"]:
     return torch.randint(-1, 2, (2, count), generator=generator, device=generator.device)
 
 
-def _mean_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
+def _measure_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
     """How much the known pixels around each pixel differ from the next one down and to the right, [h, w, 2]."""
     grey = image @ np.array([0.299, 0.587, 0.114], np.float32)
     means = []
@@ -318,13 +318,13 @@ def _grow(region: Region, side: int) -> Region:
     return F.max_pool2d(region[None, None].float(), side, 1, side // 2)[0, 0] > 0
 
 
-def _level_size(mask: Mask, level: int) -> tuple[int, int]:
+def _shrink_size(mask: Mask, level: int) -> tuple[int, int]:
     return max(1, mask.shape[0] >> level), max(1, mask.shape[1] >> level)
 
 
 def _count_cells(mask: Mask, level: int) -> float:
     """How many cells of a coarser level the mask covers."""
-    return float(_average_cells(mask, _level_size(mask, level)).sum())
+    return float(_average_cells(mask, _shrink_size(mask, level)).sum())
 
 
 def _average_cells(values: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float32]:
