@@ -16,6 +16,7 @@ from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 from inpaint3d.stages.capture_ingest.layouts import detect, find
 from inpaint3d.stages.capture_ingest.video import choose_frames
+from tests.clips import HLG, PQ, tag_clip, write_clip
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -42,7 +43,7 @@ def test_photos_with_masks_and_truth(tmp_path):
     pictures(tmp_path / "truth", ["t1", "t2"], SCENE.empty_images[:2])
     write_mask(tmp_path / "masks" / "view_001.png", SCENE.object_masks[1])
     found = found_in(tmp_path, tmp_path)
-    assert detect(tmp_path) == "photos"
+    assert detect(tmp_path) == ["photos"]
     assert [f.name for f in found.frames] == SCENE.names
     assert [f.mask is not None for f in found.frames] == [False, True, False, False]
     assert [f.name for f in found.truth] == ["t1", "t2"]
@@ -84,7 +85,7 @@ def llff_rows(cameras) -> np.ndarray:
 def test_llff(tmp_path):
     pictures(tmp_path / "images")
     np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras))
-    assert detect(tmp_path) == "llff"
+    assert detect(tmp_path) == ["llff"]
     assert_cameras(found_in(tmp_path, tmp_path))
     np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras)[:3])
     with pytest.raises(BadInputError, match="3 cameras for 4 pictures"):
@@ -118,7 +119,7 @@ def test_realestate10k(tmp_path):
         rows.append(" ".join(map(repr, [1000 * i, *map(float, [*shares, 0, 0, *camera.cam_from_world.ravel()])])))
     pictures(root / "clip", [str(1000 * i) for i in range(4)])
     (root / "clip.txt").write_text("\n".join(["https://video/x", *rows]))
-    assert detect(root) == "realestate10k"
+    assert detect(root) == ["realestate10k"]
     found = found_in(root, tmp_path, realestate10k_frames=3, realestate10k_rows=18)
     assert [f.name for f in found.frames] == ["0", "1000", "2000"]
     assert "first 3 frames, 1 more" in found.notes[1]
@@ -210,6 +211,32 @@ def test_frames_of_a_video_are_spread_by_motion_not_by_time(tmp_path):
     assert sum(n <= 40 for n in numbers) <= 1
     assert np.diff([n for n in numbers if n > 40]).max() <= 7
     assert "39 change nothing" in found.notes[-1] or "40 change nothing" in found.notes[-1]
+
+
+# cd/m2 -> code, 0 to 1 (ITU-R BT.2100, tables 4 and 5; HLG on a display of 1000 cd/m2, gamma 1.2)
+def pq(light):
+    y = (light / 10000) ** 0.1593017578125
+    return ((0.8359375 + 18.8515625 * y) / (1 + 18.6875 * y)) ** 78.84375
+
+
+def hlg(light):
+    e = (light / 1000) ** (1 / 1.2)
+    return np.where(
+        e <= 1 / 12, np.sqrt(3 * e), 0.17883277 * np.log(12 * np.maximum(e, 1 / 12) - 0.28466892) + 0.55991073
+    )
+
+
+@pytest.mark.parametrize(("transfer", "encode"), [(PQ, pq), (HLG, hlg)])
+def test_hdr_clips_are_brought_to_sdr_at_203_candela(tmp_path, transfer, encode):
+    """Reference white (ITU-R BT.2408) becomes white, what is brighter is clipped, below it BT.1886's 2.4 is kept."""
+    light = np.array([2.0, 10, 30, 60, 100, 150, 203, 400, 1000])
+    codes = np.repeat(np.round(255 * encode(light)), 16).astype(np.uint8)
+    picture = np.repeat(np.tile(codes, (48, 1))[..., None], 3, 2)
+    write_clip(tmp_path / "walk.mp4", [picture, picture])
+    tag_clip(tmp_path / "walk.mp4", transfer)
+    shown = 255 * read_image(found_in(tmp_path, tmp_path).frames[0].image)[24, 8::16, 1]  # MPEG-4 of 8 bits tints grey
+    wanted = 255 * np.minimum(light / 203, 1) ** (1 / 2.4)
+    np.testing.assert_allclose(shown, wanted, atol=6)  # of 8 bits of PQ, one is 4 % of the light
 
 
 def test_frames_of_a_still_video_are_spread_by_time():
