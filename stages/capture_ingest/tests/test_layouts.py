@@ -7,7 +7,8 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.image_io import read_image, write_mask, write_png
 from inpaint3d.stages.capture_ingest.carry import carry
 from inpaint3d.stages.capture_ingest.config import Config
-from inpaint3d.stages.capture_ingest.layouts import detect, find
+from inpaint3d.stages.capture_ingest.layouts import describe_folder, detect, find
+from tests.clips import write_clip
 from tests.data_sets import (
     SCENE,
     nerfstudio_frames,
@@ -99,6 +100,28 @@ def test_photos_win_over_clips_beside_them(root, clips, folder):
     found = taken(root)
     assert (found.layout, len(found.frames)) == ("photos", 4)
     assert f"{len(clips)} videos lie beside the pictures and are left out ({clips[0]})" in say(found)
+
+
+@pytest.mark.parametrize("clip", ["images/IMG_3.MP4", "clips/day 1/a.mov"])
+def test_clips_below_are_not_passed_over_in_silence(root, clip):
+    (root / clip).parent.mkdir(parents=True)
+    (root / clip).write_bytes(b"clip")
+    assert f"({clip} is a video below it: give the file itself)" in describe_folder(root)
+    write_pictures(root / "images", NAMES)
+    assert "1 videos lie beside the pictures and are left out" in say(taken(root))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize(
+    "text", ["ffconcat version 1.0\nfile {clip}\n", "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nfile://{clip}\n"]
+)
+def test_a_list_of_other_clips_is_no_clip(root, capfd, suffix, text):
+    """FFmpeg knows such lists by what is in them."""
+    write_clip(root.parent / "private.mp4", [np.full((24, 32, 3), i, np.uint8) for i in (0, 90, 180)])
+    (root / f"a{suffix}").write_text(text.format(clip=root.parent / "private.mp4"))
+    with pytest.raises(BadInputError, match="has 0 frames that can be decoded"):
+        taken(root)
+    capfd.readouterr()  # what FFmpeg says of it
 
 
 def test_a_clip_with_its_poster_is_a_video(root):
