@@ -68,7 +68,7 @@ def find(root: Path) -> Found:
     return Found("colmap", frames, ordered=one_folder(frames), notes=notes)
 
 
-def _picture(files: SourceFiles, name: str, where: str) -> Path:
+def _find_picture(files: SourceFiles, name: str, where: str) -> Path:
     if path := files.find(name, where, below=PICTURE_FOLDERS):
         return path
     raise BadInputError(f"{where}: the model names {name}, which is not in images/; put the pictures there")
@@ -95,12 +95,12 @@ def _frames(
                 f"{where}: {image.name} has the camera {image.camera}, which is not listed; export it again"
             )
         path = paths[image.number]
-        camera = _known(path, cameras[image.camera], image, where)
+        camera = _convert_known(path, cameras[image.camera], image, where)
         frames.append(FoundFrame(names[path], path, masks.get(path), camera))
     return sorted(frames, key=lambda f: numeric_order(f.image))
 
 
-def _known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
+def _convert_known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
     largest = max(map(abs, image.quaternion))
     if not 1 / MAX_QUATERNION < largest < MAX_QUATERNION or not np.isfinite(image.quaternion).all():
         raise BadInputError(f"{where}: {image.name} has the quaternion {list(image.quaternion)}; export it again")

@@ -123,7 +123,7 @@ def marks_of(layout: str) -> str:
 
 def _find(layout: str, raw: Path, config: Config, work: Path) -> Found:
     if layout == "video":
-        return video.find(_only_video(raw), config.video_frames, work)
+        return video.find(_find_only_video(raw), config.video_frames, work)
     if layout == "spin-nerf":
         return spin_nerf.find(raw, config.spin_nerf_truth)
     if layout == "blender":
@@ -134,12 +134,12 @@ def _find(layout: str, raw: Path, config: Config, work: Path) -> Found:
     return {"photos": photos, "colmap": colmap, "nerfstudio": nerfstudio, "llff": llff}[layout].find(raw)
 
 
-def _files(raw: Path) -> list[Path]:
+def _list_files(raw: Path) -> list[Path]:
     return sorted(p for p in raw.iterdir() if p.is_file()) if raw.is_dir() else []
 
 
-def _videos(raw: Path) -> list[Path]:
-    return [p for p in _files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+def _list_videos(raw: Path) -> list[Path]:
+    return [p for p in _list_files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
 
 
 def _videos_below(raw: Path) -> list[Path]:

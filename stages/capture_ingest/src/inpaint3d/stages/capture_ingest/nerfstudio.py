@@ -54,10 +54,10 @@ def read_frames(files: SourceFiles, document: str) -> tuple[list[FoundFrame], li
         mask = _mask(files, values, document)
         camera = read_camera(path, values, document)
         frames.append(FoundFrame(names[path], path, mask or masks.get(path), camera, hole_is_black=mask is not None))
-    return frames, _notes(document, listed, len(frames))
+    return frames, _make_notes(document, listed, len(frames))
 
 
-def _notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
+def _make_notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
     notes: list[str] = []
     if missing := len(listed) - taken:
         notes.append(f"{document} lists {len(listed)} frames, {missing} of them are not there and left out")
@@ -114,7 +114,7 @@ def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamer
     return fit_camera(path, lens, pose, document)
 
 
-def _model(values: dict[str, Any]) -> str:
+def _name_model(values: dict[str, Any]) -> str:
     """The model's name in COLMAP's words; instant-ngp says by flags what is no perspective."""
     if values.get("ftheta_p0"):
         return "FTHETA (ftheta_p0)"
@@ -143,7 +143,7 @@ def _focal(angle: float, size: float) -> float:
     return 0.5 * size / math.tan(0.5 * angle)
 
 
-def _vertical(values: dict[str, Any], fx: float, height: float) -> float:
+def _find_vertical_focal(values: dict[str, Any], fx: float, height: float) -> float:
     """By its own angle where there is one and no focal length at all, else as the horizontal one."""
     if "fl_x" not in values and "camera_angle_y" in values:
         return _focal(_number(values, "camera_angle_y"), height)
