@@ -62,16 +62,16 @@ def read_header(path: Path) -> Header:
     spec = _open(path).spec()
     pixel = oiio.TypeDesc(spec.format)
     profile = _profile(spec, path)
-    inks = _text(spec, "jpeg:ColorSpace") in CMYK
+    inks = _read_text(spec, "jpeg:ColorSpace") in CMYK
     return Header(
         width=spec.width,
         height=spec.height,
         channels=spec.nchannels,
         bits=8 * pixel.basesize(),
         is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
-        orientation=_orientation(spec),
+        orientation=_read_orientation(spec),
         format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
-        exif=_attributes(spec),
+        exif=_read_attributes(spec),
         profile=profile,
         is_srgb=profile is None and not inks and not _is_linear(spec),
     )
@@ -241,13 +241,13 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
-def _orientation(spec: oiio.ImageSpec) -> int:
+def _read_orientation(spec: oiio.ImageSpec) -> int:
     """EXIF orientation; 0 and what is beyond 8 say nothing, and are written all the same."""
     said = int(spec.get_int_attribute("Orientation", 1))
     return said if 1 <= said <= 8 else 1
 
 
-def _attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
+def _read_attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
     """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
     found: dict[str, Attribute] = {}
     for attribute in spec.extra_attribs:
@@ -316,8 +316,8 @@ def _read_all(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8",
     if buffer.spec().get_string_attribute("oiio:SourceFileFormat", "") == "jpeg" and _cut_short(path):
         raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
     if not buffer.read(force=True, convert=kind) or buffer.has_error:
-        raise BadInputError(f"{path} is damaged ({_reason(buffer)}); copy it again or remove it")
-    upright = buffer if _orientation(buffer.spec()) == 1 else oiio.ImageBufAlgo.reorient(buffer)
+        raise BadInputError(f"{path} is damaged ({_explain(buffer)}); copy it again or remove it")
+    upright = buffer if _read_orientation(buffer.spec()) == 1 else oiio.ImageBufAlgo.reorient(buffer)
     # Where a buffer could not be turned, asking for its pixels trips an assertion of OpenImageIO.
     pixels = upright.get_pixels(kind) if upright.initialized and not upright.has_error else None
     if pixels is None:

@@ -18,11 +18,11 @@ from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
     SourceFiles,
+    find_subfolder,
     masks_for,
     name_pictures,
     numeric_order,
     one_folder,
-    subfolder,
 )
 from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera
 
@@ -58,9 +58,9 @@ def find(root: Path) -> Found:
     where = folder.relative_to(root).as_posix()
     cameras, images = read_model(folder, where)
     files = SourceFiles(root)
-    paths = {image.number: _picture(files, image.name, where) for image in images}
+    paths = {image.number: _find_picture(files, image.name, where) for image in images}
     _check_once(images, paths, where)
-    frames = _frames(root, paths, cameras, images, where)
+    frames = _match_frames(root, paths, cameras, images, where)
     notes = files.notes(where)
     if len(folders) > 1:
         others = ", ".join(f"{f.relative_to(root).as_posix()} with {n}" for f, n in sizes.items() if f != folder)
@@ -83,11 +83,11 @@ def _check_once(images: list[ListedImage], paths: dict[int, Path], where: str) -
             )
 
 
-def _frames(
+def _match_frames(
     root: Path, paths: dict[int, Path], cameras: dict[int, ListedCamera], images: list[ListedImage], where: str
 ) -> list[FoundFrame]:
     names = name_pictures(list(paths.values()))
-    masks = masks_for(list(paths.values()), subfolder(root, "masks"))
+    masks = masks_for(list(paths.values()), find_subfolder(root, "masks"))
     frames: list[FoundFrame] = []
     for image in images:
         if image.camera not in cameras:

@@ -63,7 +63,7 @@ def count_images(folder: Path) -> int:
             head = file.read(8)
         return struct.unpack("<Q", head)[0] if len(head) == 8 else 0
     try:
-        return len(_images_txt(folder / "images.txt"))
+        return len(_read_images_txt(folder / "images.txt"))
     except (ValueError, IndexError, OverflowError):
         return 0
 
@@ -112,7 +112,7 @@ def _read_cameras_txt(path: Path) -> dict[int, ListedCamera]:
     return cameras
 
 
-def _images_txt(path: Path) -> list[ListedImage]:
+def _read_images_txt(path: Path) -> list[ListedImage]:
     """Two lines an image: its pose and name, and its points, which may be an empty line that a tool left out."""
     rows, said = _read_rows(path)
     images: list[ListedImage] = []

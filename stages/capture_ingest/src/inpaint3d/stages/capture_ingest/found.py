@@ -59,7 +59,7 @@ def normalise_name(text: str) -> str:
     return unicodedata.normalize("NFC", text)
 
 
-def subfolder(root: Path, name: str) -> Path:
+def find_subfolder(root: Path, name: str) -> Path:
     """A folder of `root` by its name, in whatever case it is written; the path as given where there is none."""
     if (root / name).is_dir() or not root.is_dir():
         return root / name
@@ -68,7 +68,7 @@ def subfolder(root: Path, name: str) -> Path:
 
 def picture_folder(root: Path) -> Path:
     """`images/`, else the top."""
-    return folder if (folder := subfolder(root, "images")).is_dir() else root
+    return folder if (folder := find_subfolder(root, "images")).is_dir() else root
 
 
 def pictures_in(folder: Path) -> list[Path]:

@@ -76,7 +76,7 @@ def detect(raw: Path) -> list[str]:
         return marked
     if realestate10k.is_layout(raw):
         return ["realestate10k"]
-    return ["video" if _videos(raw) and len(photos.list_photos(raw)) < 2 else "photos"]
+    return ["video" if _list_videos(raw) and len(photos.list_photos(raw)) < 2 else "photos"]
 
 
 def find(raw: Path, config: Config, work: Path) -> Found:
@@ -88,7 +88,7 @@ def find(raw: Path, config: Config, work: Path) -> Found:
         found.notes.append(
             f"it has the marks of {', '.join(others)}, too; capture-ingest.layout={others[0]} takes it so"
         )
-    if layout != "video" and (clips := _videos_below(raw)):
+    if layout != "video" and (clips := _list_videos_below(raw)):
         found.notes.append(f"{len(clips)} videos lie beside the pictures and are left out ({clips[0].name})")
     if layout != "realestate10k":  # it says how many frames of which clip
         found.notes.extend(_list_left_out(raw, found))
@@ -142,12 +142,12 @@ def _list_videos(raw: Path) -> list[Path]:
     return [p for p in _list_files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
 
 
-def _videos_below(raw: Path) -> list[Path]:
+def _list_videos_below(raw: Path) -> list[Path]:
     return [p for p in files_below(raw) if p.suffix.lower() in VIDEO_SUFFIXES]
 
 
-def _only_video(raw: Path) -> Path:
-    videos = _videos(raw)
+def _find_only_video(raw: Path) -> Path:
+    videos = _list_videos(raw)
     if len(videos) != 1:
         raise BadInputError(f"{len(videos)} videos in {describe_folder(raw)}; give exactly one")
     return videos[0]
@@ -160,6 +160,6 @@ def describe_folder(raw: Path) -> str:
         return "an empty folder"
     unread = next((p for p in sorted(raw.rglob("*")) if p.suffix.lower() in UNREADABLE_SUFFIXES), None)
     way_out = f" ({unread.suffix} is not read: {UNREADABLE_SUFFIXES[unread.suffix.lower()]})" if unread else ""
-    if clips := [p for p in _videos_below(raw) if p.parent != raw]:
+    if clips := [p for p in _list_videos_below(raw) if p.parent != raw]:
         way_out += f" ({clips[0].relative_to(raw)} is a video below it: give the file itself)"
     return f"a folder holding {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}{way_out}"

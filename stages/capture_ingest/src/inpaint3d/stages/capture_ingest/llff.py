@@ -15,11 +15,11 @@ from inpaint3d.stages.capture_ingest.axes import from_llff
 from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
+    find_subfolder,
     masks_for,
     name_pictures,
     picture_folder,
     pictures_in,
-    subfolder,
 )
 from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera, stated_frame
 
@@ -102,6 +102,6 @@ def find(root: Path) -> Found:
     pictures = pictures_in(picture_folder(root))
     cameras = read_cameras(root, pictures)
     names = name_pictures(pictures)
-    masks = masks_for(pictures, subfolder(root, "masks"))
+    masks = masks_for(pictures, find_subfolder(root, "masks"))
     frames = [FoundFrame(names[p], p, masks.get(p), *cameras[p]) for p in pictures]
     return Found("llff", frames, notes=describe_order(pictures, cameras))

@@ -18,11 +18,11 @@ from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
     SourceFiles,
+    find_subfolder,
     masks_for,
     name_pictures,
     numeric_order,
     one_folder,
-    subfolder,
 )
 from inpaint3d.stages.capture_ingest.lenses import StatedLens, check_model, fit_camera
 
@@ -47,7 +47,7 @@ def read_frames(files: SourceFiles, document: str) -> tuple[list[FoundFrame], li
     paths = sorted(there, key=numeric_order)
     names = name_pictures(paths)
     named = any("mask_path" in frame for frame in listed)
-    masks = {} if named else masks_for(paths, subfolder(files.root, "masks"))
+    masks = {} if named else masks_for(paths, find_subfolder(files.root, "masks"))
     frames: list[FoundFrame] = []
     for path in paths:
         values = {**top, **there[path]}
@@ -88,18 +88,22 @@ def _mask(files: SourceFiles, values: dict[str, Any], document: str) -> Path | N
 def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamera:
     """A fisheye, OPENCV where there is distortion, else PINHOLE; BadInputError names the document and the picture."""
     try:
-        model = _model(values)
+        model = _name_model(values)
         check_model(model)
     except ValueError as error:
         raise BadInputError(f"{document}: the camera of {path.name} {error}") from error
     header = read_header(path)
     size = (header.width, header.height)
     try:
-        size = (_number(values, "w", size[0]), _number(values, "h", size[1]))
-        fx = _number(values, "fl_x") if "fl_x" in values else _focal(_number(values, "camera_angle_x"), size[0])
-        fy = _number(values, "fl_y") if "fl_y" in values else _vertical(values, fx, size[1])
-        pinhole = (fx, fy, _number(values, "cx", size[0] / 2), _number(values, "cy", size[1] / 2))
-        k1, k2, k3, k4, p1, p2 = (_number(values, k, 0.0) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
+        size = (_read_number(values, "w", size[0]), _read_number(values, "h", size[1]))
+        fx = (
+            _read_number(values, "fl_x")
+            if "fl_x" in values
+            else _compute_focal(_read_number(values, "camera_angle_x"), size[0])
+        )
+        fy = _read_number(values, "fl_y") if "fl_y" in values else _find_vertical_focal(values, fx, size[1])
+        pinhole = (fx, fy, _read_number(values, "cx", size[0] / 2), _read_number(values, "cy", size[1] / 2))
+        k1, k2, k3, k4, p1, p2 = (_read_number(values, k, 0.0) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
         pose = from_opengl(_check_last_row(values["transform_matrix"]))
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise BadInputError(
@@ -125,7 +129,7 @@ def _name_model(values: dict[str, Any]) -> str:
     return str(values.get("camera_model") or "OPENCV").upper()
 
 
-def _number(values: dict[str, Any], key: str, default: float | None = None) -> float:
+def _read_number(values: dict[str, Any], key: str, default: float | None = None) -> float:
     value = values[key] if default is None else values.get(key, default)
     if isinstance(value, bool):
         raise TypeError(f"{key} is {value}, no number")
@@ -139,12 +143,12 @@ def _check_last_row(matrix: Any) -> Any:
     return matrix
 
 
-def _focal(angle: float, size: float) -> float:
+def _compute_focal(angle: float, size: float) -> float:
     return 0.5 * size / math.tan(0.5 * angle)
 
 
 def _find_vertical_focal(values: dict[str, Any], fx: float, height: float) -> float:
     """By its own angle where there is one and no focal length at all, else as the horizontal one."""
     if "fl_x" not in values and "camera_angle_y" in values:
-        return _focal(_number(values, "camera_angle_y"), height)
+        return _compute_focal(_read_number(values, "camera_angle_y"), height)
     return fx

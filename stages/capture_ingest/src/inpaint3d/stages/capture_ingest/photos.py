@@ -9,12 +9,12 @@ from inpaint3d.contracts.models.artifacts.capture import UNREADABLE_SUFFIXES
 from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
+    find_subfolder,
     masks_for,
     name_pictures,
     picture_folder,
     pictures_below,
     pictures_in,
-    subfolder,
 )
 
 BESIDE = frozenset(["masks", "truth"])
@@ -25,9 +25,9 @@ def find(root: Path) -> Found:
     folder = picture_folder(root)
     pictures = list_photos(root)
     names = name_pictures(pictures)
-    masks = masks_for(pictures, subfolder(root, "masks"))
+    masks = masks_for(pictures, find_subfolder(root, "masks"))
     frames = [FoundFrame(names[p], p, masks.get(p)) for p in pictures]
-    shown = pictures_in(subfolder(root, "truth")) if folder != root else []
+    shown = pictures_in(find_subfolder(root, "truth")) if folder != root else []
     truth_names = name_pictures(shown)
     truth = [FoundFrame(truth_names[p], p) for p in shown]
     folders = {p.parent for p in pictures}
