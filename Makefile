@@ -132,7 +132,8 @@ pack-gpu: .venv/.installed ## the same as a folder for a machine without a netwo
 	.venv/bin/python -m benchmarks.gpu.pack $(PHOTOS) $(if $(PRIOR),--prior $(PRIOR)) $(if $(SCENE),--scene $(SCENE)) $(BENCH_OPTIONS)
 
 fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
-	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)
+	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000) \
+	    --out benchmarks/results/captures_fuzz.json
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs gpu-pack

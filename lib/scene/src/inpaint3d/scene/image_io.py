@@ -25,6 +25,7 @@ MAX_DECODED_BYTES = 2**30
 ROWS_AT_ONCE = 256  # while colours are converted in float64
 MAX_CODE = 2**16 - 1
 MIDDLE = 127.5 / 255
+CMYK = ("CMYK", "YCCK")  # OpenImageIO's words for a JPEG of inks
 # Of linear light: a share of white that no exposure leaves, and what even the brightest pixel exceeds.
 MAX_WHITE, MIN_LIGHT = 0.5, 1e-3
 # Time stamps and host names would make equal pictures differ.
@@ -46,7 +47,9 @@ class Header:
     orientation: int
     format: str
     exif: dict[str, Attribute]
-    profile: ColourProfile | None = None  # None: its codes are sRGB, or linear light
+    profile: ColourProfile | None = None  # None: its codes are sRGB, linear light, or inks
+    is_srgb: bool = True
+    """Whether its codes are sRGB as they are: no profile, no linear light, no CMYK."""
 
     @property
     def upright_size(self) -> tuple[int, int]:
@@ -58,16 +61,19 @@ def read_header(path: Path) -> Header:
     """Size, depth and EXIF; BadInputError for a file that is no picture."""
     spec = _open(path).spec()
     pixel = oiio.TypeDesc(spec.format)
+    profile = _profile(spec, path)
+    inks = _read_text(spec, "jpeg:ColorSpace") in CMYK
     return Header(
         width=spec.width,
         height=spec.height,
         channels=spec.nchannels,
         bits=8 * pixel.basesize(),
         is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
-        orientation=int(spec.get_int_attribute("Orientation", 1)),
+        orientation=_read_orientation(spec),
         format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
         exif=_read_attributes(spec),
-        profile=_profile(spec, path),
+        profile=profile,
+        is_srgb=profile is None and not inks and not _is_linear(spec),
     )
 
 
@@ -235,6 +241,12 @@ def _open(path: Path) -> oiio.ImageBuf:
     return buffer
 
 
+def _read_orientation(spec: oiio.ImageSpec) -> int:
+    """EXIF orientation; 0 and what is beyond 8 say nothing, and are written all the same."""
+    said = int(spec.get_int_attribute("Orientation", 1))
+    return said if 1 <= said <= 8 else 1
+
+
 def _read_attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
     """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
     found: dict[str, Attribute] = {}
@@ -305,7 +317,7 @@ def _read_all(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8",
         raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
     if not buffer.read(force=True, convert=kind) or buffer.has_error:
         raise BadInputError(f"{path} is damaged ({_explain(buffer)}); copy it again or remove it")
-    upright = buffer if buffer.orientation == 1 else oiio.ImageBufAlgo.reorient(buffer)
+    upright = buffer if _read_orientation(buffer.spec()) == 1 else oiio.ImageBufAlgo.reorient(buffer)
     # Where a buffer could not be turned, asking for its pixels trips an assertion of OpenImageIO.
     pixels = upright.get_pixels(kind) if upright.initialized and not upright.has_error else None
     if pixels is None:

@@ -77,7 +77,7 @@ def _write_picture(
 
     Where it is not, the file goes along as it is, for who needs all that it holds.
     """
-    whole = header.bits == 8 and header.orientation == 1 and header.profile is None and opaque is None
+    whole = header.bits == 8 and header.orientation == 1 and header.is_srgb and opaque is None
     as_it_is = header.format in KEPT_AS_THEY_ARE and whole
     suffix = ".jpg" if as_it_is and header.format == "jpeg" else ".png"
     target = _name_new(folder / "frames" / f"{frame.name}{suffix}", frame)
