@@ -75,7 +75,7 @@ def _fail(error: Inpaint3dError) -> None:
     sys.exit(error.exit_code)
 
 
-def _images(environment: Environment) -> Mapping[str, Image] | None:
+def _load_images(environment: Environment) -> Mapping[str, Image] | None:
     """The images whose digests stand for the stages' code, where stages run in them."""
     return None if environment.runner == "process" else load_document(environment.images, ImagesSpec)[0].spec
 
@@ -98,7 +98,7 @@ def run(
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
     configured, store = ConfiguredRequest(request, selection), open_store(places.store)
-    images = _images(environment)
+    images = _load_images(environment)
     runner = ProcessRunner() if images is None else ContainerRunner(find_engine(engine), images)
     codes: list[int] = []
     for path, scene_name in list_scenes(capture, scene, name):
@@ -210,7 +210,7 @@ def plan(
 ) -> None:
     """Say what `run` would do and why, stage by stage, without doing it."""
     configured = ConfiguredRequest(request, selection)
-    planner = configured.planner(open_store(store), capture, name, _images(environment))
+    planner = configured.planner(open_store(store), capture, name, _load_images(environment))
     show_nodes(preview(planner, selection), as_json=as_json)
 
 
