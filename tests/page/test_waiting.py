@@ -90,16 +90,18 @@ def test_the_page_of_pictures_that_were_never_run_is_served_until_it_is_interrup
     line = cli.command("masks", "edit", str(photos), "--name", "tiny")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(line, env=cli.environment(), cwd=REPOSITORY, start_new_session=True, **pipes) as process:
-        assert process.stdout is not None
-        url = next(m.group() for text in process.stdout if (m := re.search(r"http://\S+", text)))
-        scene = fetch(f"{url}scene")
-        assert len(scene["frames"]) == 4
-        assert "Cameras are not known yet" in scene["missing"]
-        assert scene["then"] == f"inpaint3d run {photos} --name tiny --store {cli.store} --runs-dir {cli.runs}"
-        assert Path(scene["file"]) == cli.runs / "tiny" / "mask.yaml"
-        with pytest.raises(urllib.error.HTTPError, match="403"):
-            fetch(re.sub(r"[^/]+/$", "scene", url))
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        try:
+            assert process.stdout is not None
+            url = next(m.group() for text in process.stdout if (m := re.search(r"http://\S+", text)))
+            scene = fetch(f"{url}scene")
+            assert len(scene["frames"]) == 4
+            assert "Cameras are not known yet" in scene["missing"]
+            assert scene["then"] == f"inpaint3d run {photos} --name tiny --store {cli.store} --runs-dir {cli.runs}"
+            assert Path(scene["file"]) == cli.runs / "tiny" / "mask.yaml"
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                fetch(re.sub(r"[^/]+/$", "scene", url))
+        finally:
+            os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         assert process.wait(20) == 0
 
 

@@ -165,7 +165,7 @@ function slider(
 ): HTMLElement {
   const range = { type: "range", min: String(low), max: String(high), step: "0.001", value: String(value) };
   const input = html("input", { ...range, "data-key": name });
-  const shown = html("output", {}, percent(value));
+  const shown = html("span", {}, percent(value)); // an output would be what the label is of
   input.addEventListener("input", () => shown.replaceChildren(percent(Number(input.value))));
   input.addEventListener("change", () => set(Number(input.value)));
   return html("label", {}, html("span", {}, `${name} `, shown, ` ${unit}`), input);
