@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
+.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-masks bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -125,6 +125,9 @@ bench-prior-variants: .venv/.installed ## which small prior learns most in an ho
 
 bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [CORPUS=FOLDER]
 	.venv/bin/python -m benchmarks.unet $(if $(CORPUS),--corpus $(CORPUS)) $(BENCH_OPTIONS)
+
+bench-masks: .venv/.installed ## objects pointed at with a few clicks against known masks [STATUE=FOLDER]
+	.venv/bin/python -m benchmarks.masks $(if $(STATUE),--statue $(STATUE)) $(BENCH_OPTIONS)
 
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)

@@ -207,6 +207,7 @@ def test_a_box_a_stroke_and_a_sphere_are_objects_of_their_own(person, room):
     person.press("s")
     person.click(x, y)
     expect(person.page.locator("#objects li")).to_have_count(3)
+    expect(person.page.locator("#objects li")).to_contain_text(["box", "1 stroke", "sphere"])
     radius = person.page.get_by_label("Radius")
     before = float(radius.input_value())
     person.press("]")
@@ -241,11 +242,13 @@ def test_before_there_is_a_field_pictures_are_pointed_at_and_what_is_missing_is_
     with serve(room, target, field=False) as url, open_page(browser, room, url, target) as person:
         expect(person.page.locator("#missing")).to_contain_text("Cameras are not known yet")
         expect(person.page.get_by_role("button", name="Sphere")).to_be_disabled()
-        person.press("b")
-        person.drag((x - 24, y - 24), (x + 24, y + 24))
-        expect(person.page.locator("#status")).to_contain_text("of this view", timeout=PATIENCE_MS)
-        assert person.share() > 0.02
-        assert person.save().mask.box is not None
+        person.click(x, y)
+        person.press("l")
+        for away in ((5, 5), (115, 5), (10, 80), (110, 80)):
+            person.click(*away)
+        expect(person.page.locator(".picture .mask")).to_have_attribute("d", re.compile("M.*Z"), timeout=PATIENCE_MS)
+        assert person.share() > 0.01
+        assert len(person.save().mask.background) == 4
 
 
 @pytest.mark.parametrize(("size", "scheme"), [(LAPTOP, "light"), (LAPTOP, "dark"), (TABLET, "light")])

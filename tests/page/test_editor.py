@@ -117,13 +117,39 @@ def test_what_cannot_be_carried_says_why_and_the_next_is_carried(editor, room):
     assert carry(editor, on_ball(room))[1]["error"] is None
 
 
-def test_a_sphere_is_placed_on_the_surface_clicked_at_and_seen_at_once(editor, room):
-    x, y = room.middle_of_ball(2)
-    told = ask(editor, "surface", view="view_002", at=[x, y])
-    assert np.linalg.norm(told["centre"]) == pytest.approx(BALL_RADIUS, rel=0.05)
-    request = {"mask": {"kind": "sphere", "centre": [0, 0, 0], "radius": BALL_RADIUS}}
-    shown = ask(editor, "mask", request=request, view="view_000")
-    assert iou(fill(shown["outline"], (90, 120)), room.scene.object_masks[0]) > 0.9
+def test_a_sphere_on_the_surface_clicked_at_is_seen_at_once_in_every_view(editor, room):
+    click = {"view": "view_002", "at": room.middle_of_ball(2)}
+    request = {"mask": {"kind": "sphere", "surface": click, "radius": 0.3}}
+    for view, x, y in ((v, *room.middle_of_ball(v)) for v in (0, 2)):
+        mask = fill(ask(editor, "mask", request=request, view=f"view_{view:03d}")["outline"], (90, 120))
+        assert mask[round(y), round(x)]
+        assert 0.05 < mask.mean() < 0.5
+
+
+def test_strokes_together_are_seen_at_once_on_their_views(editor, room):
+    stroke = {"kind": "scribble", "view": "view_002", "path": [[20, 70], [40, 70]]}
+    other = {**stroke, "path": [[80, 20], [100, 20]]}
+    union = {"mask": {"kind": "union", "of": [stroke, other]}}
+    mask = fill(ask(editor, "mask", request=union, view="view_002")["outline"], (90, 120))
+    assert mask[70, 30]
+    assert mask[20, 90]
+    assert ask(editor, "mask", request=union, view="view_001")["outline"] is None
+
+
+def test_an_object_may_be_pointed_at_on_more_views_and_is_seen_on_each(editor, room):
+    more = on_ball(room, 1)["mask"]
+    del more["kind"]
+    request = on_ball(room, 3, other_views=[more])
+    for view in (1, 3):
+        told = ask(editor, "mask", request=request, view=f"view_{view:03d}")
+        assert iou(fill(told["outline"], (90, 120)), room.scene.object_masks[view]) > 0.8
+    assert carry(editor, request)[1]["error"] is None
+
+
+def test_several_objects_are_saved_as_one_request(editor, room, tmp_path):
+    named = {"ball": on_ball(room)["mask"], "hollow": {"kind": "sphere", "centre": [0, 0, 0], "radius": 0.1}}
+    ask(editor, "save", request={"mask": {"kind": "objects", "named": named}})
+    assert list(load_document(tmp_path / "mask.yaml", MaskRequest)[0].mask.named) == ["ball", "hollow"]
 
 
 def test_a_stroke_is_seen_at_once(editor, room):
@@ -143,8 +169,9 @@ def test_before_there_is_a_field_single_pictures_work_and_what_is_missing_is_sai
         assert iou(fill(told["outline"], (90, 120)), room.scene.object_masks[2]) > 0.6
         with pytest.raises(ConfigurationError, match=says):
             ask(editor, "carry", request=on_ball(room))
+        sphere = {"mask": {"kind": "sphere", "surface": {"view": "view_002", "at": [60, 45]}}}
         with pytest.raises(ConfigurationError, match="no surface"):
-            ask(editor, "surface", view="view_002", at=[60, 45])
+            ask(editor, "mask", request=sphere, view="view_002")
 
 
 def test_what_is_saved_is_the_request_and_is_opened_again(editor, room, tmp_path):
@@ -169,7 +196,6 @@ def test_a_request_that_cannot_be_read_is_no_end_of_the_page(editor, tmp_path):
         ("mask", {"request": {"mask": {"kind": "sphere", "radius": float("nan")}}, "view": "a"}, ValidationError),
         ("mask", {"request": {"mask": {"kind": "sphere"}}, "view": "../view_002"}, ValidationError),
         ("mask", {"request": {"mask": {"kind": "sphere"}}, "view": "view_009"}, Refusal),
-        ("surface", {"view": "view_002", "at": [1e400, 0]}, ValidationError),
         ("progress", {"revision": -1}, ValidationError),
         ("save", {"request": {"mask": {"kind": "sphere"}}, "file": "/etc/passwd"}, ValidationError),
         ("nothing", {}, Refusal),

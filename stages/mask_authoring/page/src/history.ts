@@ -1,6 +1,6 @@
 // The objects and which of them is worked on, with every state before and after.
 
-import { DILATE, THICKNESS, isEmpty, type Box, type Item, type Pixel, type Prompts, type Shape } from "./requests";
+import { DILATE, RADIUS, THICKNESS, isEmpty, type Box, type Item, type Pixel, type Prompts, type Shape } from "./requests";
 
 export interface State {
   items: Item[];
@@ -117,6 +117,12 @@ export class History {
     const { shape } = this.active;
     const before = shape?.kind === "scribble" ? shape : { strokes: [], thickness: THICKNESS };
     this.setShape({ kind: "scribble", strokes: [...before.strokes, { view, path }], thickness: before.thickness });
+  }
+
+  /** A sphere round a place on the surface; one that is there keeps its radius. */
+  putSphere(view: string, at: Pixel): void {
+    const { shape } = this.active;
+    this.setShape({ kind: "sphere", view, at, radius: shape?.kind === "sphere" ? shape.radius : RADIUS });
   }
 
   private setPrompts(view: string, change: (prompts: Prompts) => Prompts): void {

@@ -5,8 +5,8 @@ import { History } from "./history";
 import { Masking } from "./masking";
 import { TOOLS, listObjects, listSettings, listTools, listViews, markTool, resize, writeHelp } from "./panels";
 import { Picture, boxOf, type Tool } from "./picture";
-import { fromRequest, sphereAt, toRequest, viewsOf, type Pixel, type Size } from "./requests";
-import { askScene, askSurface, save, type Scene } from "./server";
+import { fromRequest, toRequest, viewsOf, type Pixel, type Size } from "./requests";
+import { askScene, save, type Scene } from "./server";
 
 const NO_SPHERE = "A sphere needs the field's depth.";
 
@@ -26,7 +26,7 @@ class Page {
       changed: () => this.draw(),
     });
     this.picture = new Picture(byId("picture"), {
-      click: (at, away) => void this.click(at, away),
+      click: (at, away) => this.click(at, away),
       drag: (path) => this.drag(path),
     });
     listTools(byId("tools"), scene.missing === null ? null : NO_SPHERE, (tool) => this.choose(tool));
@@ -47,16 +47,13 @@ class Page {
     byId("missing").hidden = missing === null;
     byId("missing").textContent = missing ?? "";
     this.choose("add");
-    const items = saved === null ? null : fromRequest(saved, this.sizes);
-    if (items !== null) {
+    if (saved !== null) {
+      const items = fromRequest(saved, this.sizes);
       const pointed = viewsOf(items[0]!.shape)[0];
       this.current = Math.max(0, this.scene.frames.findIndex((frame) => frame.name === pointed));
-      this.history.load(items, saved!.dilate);
+      this.history.load(items, saved.dilate);
     } else this.refresh();
     if (problem !== null) say("error", problem);
-    else if (saved !== null && items === null) {
-      say("error", `${this.scene.file} holds a request that this page does not show; saving replaces it.`);
-    }
   }
 
   private choose(tool: Tool): void {
@@ -71,19 +68,11 @@ class Page {
     this.refresh();
   }
 
-  private async click(at: Pixel, away: boolean): Promise<void> {
+  private click(at: Pixel, away: boolean): void {
     const { view, history } = this;
     const { tool } = this.picture;
-    if (tool === "sphere") {
-      try {
-        const { centre, depth } = await askSurface(view, at);
-        const before = history.active.shape;
-        const sphere = sphereAt(centre, depth);
-        history.setShape(before?.kind === "sphere" ? { ...sphere, radius: before.radius } : sphere);
-      } catch (error) {
-        say("error", (error as Error).message);
-      }
-    } else if (tool === "brush") history.addStroke(view, [at]);
+    if (tool === "sphere") history.putSphere(view, at);
+    else if (tool === "brush") history.addStroke(view, [at]);
     else if (tool === "box") history.removeBox(view);
     else if (!history.removePoint(view, (xy) => this.picture.isNear(xy, at))) {
       history.addPoint(view, at, away || tool === "leave" ? "background" : "points");

@@ -12,8 +12,9 @@ interface Masks {
   outlines: Record<string, Outline>;
   shares: Record<string, number>;
   complete: boolean;
+  doubtful: string[];
 }
-const NOTHING: Masks = { of: "", outlines: {}, shares: {}, complete: false };
+const NOTHING: Masks = { of: "", outlines: {}, shares: {}, complete: false, doubtful: [] };
 
 export interface Told {
   status: (text: string) => void;
@@ -47,6 +48,11 @@ export class Masking {
   /** Whether what is shown of an object is of an older request. */
   isStale(item: Item): boolean {
     return this.masksOf(item).of !== this.keyOf(item);
+  }
+
+  /** Whether some object's mask on a view agrees little with its neighbours'. */
+  isDoubtful(view: string): boolean {
+    return [...this.known.values()].some((masks) => masks.doubtful.includes(view));
   }
 
   /** Look at all objects again: those that changed are asked for, the active one first. */
@@ -109,6 +115,7 @@ export class Masking {
       outlines: { ...kept.outlines, [view]: outline },
       shares: { ...kept.shares, [view]: share },
       complete: !this.canCarry,
+      doubtful: [],
     });
     this.told.error("");
     this.told.status(`${item.name}: ${percent(share)} of this view, found in ${seconds(performance.now() - began)}`);
@@ -175,6 +182,7 @@ export class Masking {
         outlines: { ...before.outlines, ...progress.outlines },
         shares: { ...before.shares, ...progress.shares },
         complete: progress.complete,
+        doubtful: progress.to_check,
       });
       this.told.error("");
     } else if (progress.complete) {
@@ -193,7 +201,8 @@ function describe(item: Item, progress: Progress): string {
   }
   const { consistency } = progress;
   const agreement = consistency === null ? "" : `; neighbouring views agree by ${percent(consistency)}`;
-  return `${item.name}: carried to all views in ${seconds(1000 * progress.seconds)}${agreement}`;
+  const doubts = progress.to_check.length === 0 ? "" : `; ${progress.to_check.length} of them are to be looked at`;
+  return `${item.name}: carried to all views in ${seconds(1000 * progress.seconds)}${agreement}${doubts}`;
 }
 
 export const percent = (share: number) => `${(100 * share).toFixed(1)} %`;

@@ -55,14 +55,16 @@ export function listViews(
     const [width, height] = size;
     const masks = svg("svg", { viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" });
     const image = html("img", { src: thumbnailOf(name), alt: "", loading: "lazy", width: "96", height: "72" });
-    const button = html("button", { type: "button" }, html("span", { class: "thumbnail" }, image, masks), name);
+    const doubt = html("strong", { class: "doubt" });
+    const button = html("button", { type: "button" }, html("span", { class: "thumbnail" }, image, masks), name, doubt);
     button.addEventListener("click", () => choose(index));
     parent.append(html("li", {}, button));
-    return { name, button, masks };
+    return { name, button, masks, doubt };
   });
   let before = -1;
   return (current, items, masking) => {
-    entries.forEach(({ name, button, masks }, index) => {
+    entries.forEach(({ name, button, masks, doubt }, index) => {
+      doubt.textContent = masking.isDoubtful(name) ? "look at it" : "";
       if (index === current) button.setAttribute("aria-current", "true");
       else button.removeAttribute("aria-current");
       masks.replaceChildren(
@@ -143,8 +145,8 @@ export function listSettings(parent: HTMLElement, history: History): void {
     slider("Grow masks by", "of the shorter side", history.state.dilate, 0, 0.06, (value) => history.setDilate(value)),
   ];
   if (shape?.kind === "sphere") {
-    const set = (value: number) => history.setShape({ ...shape, radius: value * shape.depth });
-    rows.unshift(slider("Radius", "of the distance", shape.radius / shape.depth, 0.01, 0.6, set));
+    const set = (radius: number) => history.setShape({ ...shape, radius });
+    rows.unshift(slider("Radius", "of the distance", shape.radius, 0.01, 0.6, set));
   }
   if (shape?.kind === "scribble") {
     const set = (thickness: number) => history.setShape({ ...shape, thickness });
@@ -174,7 +176,8 @@ function slider(
 function describe(shape: Shape | null): string {
   if (shape === null) return "nothing yet";
   if (shape.kind === "sphere") return "sphere";
-  if (shape.kind === "scribble") return `${shape.strokes.length} strokes`;
+  if (shape.kind === "given") return `${shape.part.kind}, as it was written`;
+  if (shape.kind === "scribble") return `${shape.strokes.length} ${shape.strokes.length === 1 ? "stroke" : "strokes"}`;
   const count = shape.prompts.reduce((sum, p) => sum + p.points.length + p.background.length, 0);
   const boxes = shape.prompts.some((p) => p.box) ? ", box" : "";
   return toPart(shape, new Map()) === null ? "nothing to find yet" : `${count} points${boxes}`;

@@ -77,29 +77,31 @@ export class Picture {
 
   private marksOf(item: Item, view: string, active: boolean): SVGElement[] {
     const { shape } = item;
-    const unit = this.unit();
     const kind = `${colourOf(item.id)}${active ? " active" : ""}`;
     if (shape?.kind === "scribble") {
       return shape.strokes
         .filter((stroke) => stroke.view === view)
         .map(({ path }) => svg("path", { d: `M${path.map((xy) => xy.join(" ")).join("L")}`, class: `stroke ${kind}` }));
     }
+    if (shape?.kind === "sphere") return shape.view === view ? [this.dot(shape.at, false, kind)] : [];
     const prompts = shape?.kind === "object" ? shape.prompts.find((p) => p.view === view) : undefined;
     if (prompts === undefined) return [];
-    const arm = 3 * unit;
-    const dot = ([x, y]: Pixel, away: boolean) =>
-      svg(
-        "g",
-        { class: `point ${away ? "away" : "on"} ${kind}` },
-        svg("circle", { cx: x, cy: y, r: 6 * unit }),
-        svg("path", { d: `M${x - arm} ${y}h${2 * arm}${away ? "" : `M${x} ${y - arm}v${2 * arm}`}` }),
-      );
     const marks: SVGElement[] = [
-      ...prompts.points.map((xy) => dot(xy, false)),
-      ...prompts.background.map((xy) => dot(xy, true)),
+      ...prompts.points.map((xy) => this.dot(xy, false, kind)),
+      ...prompts.background.map((xy) => this.dot(xy, true, kind)),
     ];
     if (prompts.box) marks.push(rectangle(prompts.box, `box ${kind}`));
     return marks;
+  }
+
+  private dot([x, y]: Pixel, away: boolean, kind: string): SVGElement {
+    const [radius, arm] = [6 * this.unit(), 3 * this.unit()];
+    return svg(
+      "g",
+      { class: `point ${away ? "away" : "on"} ${kind}` },
+      svg("circle", { cx: x, cy: y, r: radius }),
+      svg("path", { d: `M${x - arm} ${y}h${2 * arm}${away ? "" : `M${x} ${y - arm}v${2 * arm}`}` }),
+    );
   }
 
   /** Pixels of the picture in one of the screen. */

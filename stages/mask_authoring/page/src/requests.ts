@@ -3,7 +3,6 @@
 export type Pixel = [number, number];
 export type Box = [number, number, number, number];
 export type Size = [number, number];
-export type Vector = [number, number, number];
 
 export interface Prompts {
   view: string;
@@ -18,13 +17,8 @@ export interface Stroke {
 export type Shape =
   | { kind: "object"; prompts: Prompts[] }
   | { kind: "scribble"; strokes: Stroke[]; thickness: number }
-  | Sphere;
-export interface Sphere {
-  kind: "sphere";
-  centre: Vector;
-  radius: number;
-  depth: number; // of the surface clicked at; the radius is shown as a share of it
-}
+  | { kind: "sphere"; view: string; at: Pixel; radius: number } // radius: as a share of the depth at the click
+  | { kind: "given"; part: Part }; // what was written by hand in a way that this page shows, but does not change
 
 export interface Item {
   id: number;
@@ -41,7 +35,7 @@ export interface MaskRequest {
 
 export const DILATE = 0.015;
 export const THICKNESS = 0.05;
-const NEW_RADIUS = 0.12; // of the depth at the click
+export const RADIUS = 0.12;
 
 export function isEmpty(prompts: Prompts): boolean {
   return prompts.points.length === 0 && prompts.box === null;
@@ -50,13 +44,18 @@ export function isEmpty(prompts: Prompts): boolean {
 /** The views that were pointed at. */
 export function viewsOf(shape: Shape | null): string[] {
   if (shape?.kind === "object") return shape.prompts.map((prompts) => prompts.view);
-  return shape?.kind === "scribble" ? [...new Set(shape.strokes.map((stroke) => stroke.view))] : [];
+  if (shape?.kind === "scribble") return [...new Set(shape.strokes.map((stroke) => stroke.view))];
+  return shape?.kind === "sphere" ? [shape.view] : [];
 }
 
 /** An object's part of the request; null while there is too little to ask for. */
 export function toPart(shape: Shape | null, sizes: Map<string, Size>): Part | null {
   if (shape === null) return null;
-  if (shape.kind === "sphere") return { kind: "sphere", centre: shape.centre, radius: shape.radius };
+  if (shape.kind === "given") return shape.part;
+  if (shape.kind === "sphere") {
+    const { view, at, radius } = shape;
+    return { kind: "sphere", surface: { view, at, frame_size: sizes.get(view) }, radius };
+  }
   if (shape.kind === "scribble") return strokesToPart(shape.strokes, shape.thickness, sizes);
   const [first, ...others] = shape.prompts.filter((p) => !isEmpty(p)).map((p) => promptsToPart(p, sizes));
   if (first === undefined) return null;
@@ -75,16 +74,11 @@ export function toRequest(items: Item[], sizes: Map<string, Size>, dilate: numbe
   return { mask, dilate };
 }
 
-/** Objects of a request that was saved; null where it holds what this page does not show. */
-export function fromRequest(request: MaskRequest, sizes: Map<string, Size>): Item[] | null {
+/** Objects of a request that was saved. */
+export function fromRequest(request: MaskRequest, sizes: Map<string, Size>): Item[] {
   const named = request.mask.kind === "objects" ? Object.entries(request.mask.named as Record<string, Part>) : null;
   const parts = named ?? [["object-1", request.mask] as [string, Part]];
-  const items = parts.map(([name, part], index) => ({ id: index + 1, name, shape: fromPart(part, sizes) }));
-  return items.every((item) => item.shape !== null) ? items : null;
-}
-
-export function sphereAt(centre: Vector, depth: number): Sphere {
-  return { kind: "sphere", centre, radius: NEW_RADIUS * depth, depth };
+  return parts.map(([name, part], index) => ({ id: index + 1, name, shape: fromPart(part, sizes) }));
 }
 
 function promptsToPart(prompts: Prompts, sizes: Map<string, Size>): Record<string, unknown> {
@@ -101,25 +95,25 @@ function strokesToPart(strokes: Stroke[], thickness: number, sizes: Map<string, 
   return parts.length === 1 ? first : { kind: "union", of: parts };
 }
 
-function fromPart(part: Part, sizes: Map<string, Size>): Shape | null {
+function fromPart(part: Part, sizes: Map<string, Size>): Shape {
   if (part.kind === "object") {
     const all = [part, ...((part.other_views as Part[] | undefined) ?? [])];
     return { kind: "object", prompts: all.map((one) => promptsFromPart(one, sizes)) };
   }
-  if (part.kind === "scribble" || part.kind === "union") {
-    const parts = part.kind === "union" ? (part.of as Part[]) : [part];
-    if (parts.some((one) => one.kind !== "scribble" || (one.path as Pixel[]).length === 0)) return null;
+  const parts = part.kind === "union" ? (part.of as Part[]) : [part];
+  if (parts.every((one) => one.kind === "scribble" && (one.path as Pixel[]).length > 0)) {
     const strokes = parts.map((one) => {
       const view = one.view as string;
       return { view, path: (one.path as Pixel[]).map((xy) => rescale(xy, one, sizes.get(view))) };
     });
-    return { kind: "scribble", strokes, thickness: parts[0]?.thickness as number };
+    return { kind: "scribble", strokes, thickness: parts[0]!.thickness as number };
   }
-  if (part.kind === "sphere" && Array.isArray(part.centre)) {
-    const radius = part.radius as number;
-    return { kind: "sphere", centre: part.centre as Vector, radius, depth: radius / NEW_RADIUS };
+  if (part.kind === "sphere" && part.surface) {
+    const click = part.surface as { view: string; at: Pixel };
+    const at = rescale(click.at, click, sizes.get(click.view));
+    return { kind: "sphere", view: click.view, at, radius: part.radius as number };
   }
-  return null;
+  return { kind: "given", part };
 }
 
 function promptsFromPart(part: Record<string, unknown>, sizes: Map<string, Size>): Prompts {
@@ -135,7 +129,7 @@ function promptsFromPart(part: Record<string, unknown>, sizes: Map<string, Size>
 }
 
 /** A pixel read on a picture of another size, on the page's. */
-function rescale([x, y]: Pixel, part: Record<string, unknown>, size: Size | undefined): Pixel {
-  const from = part.frame_size as Size | null | undefined;
+function rescale([x, y]: Pixel, part: object, size: Size | undefined): Pixel {
+  const from = (part as { frame_size?: Size | null }).frame_size;
   return from && size ? [(x * size[0]) / from[0], (y * size[1]) / from[1]] : [x, y];
 }

@@ -1,6 +1,6 @@
 // What the page asks the server. Its own address holds the token: all paths are relative to it.
 
-import type { MaskRequest, Size, Vector } from "./requests";
+import type { MaskRequest, Size } from "./requests";
 
 export type Outline = number[][];
 
@@ -24,13 +24,12 @@ export interface Progress {
   consistency: number | null;
   outlines: Record<string, Outline> | null;
   shares: Record<string, number> | null;
+  to_check: string[];
 }
 
 export const askScene = () => ask<Scene>("scene");
 export const askMask = (request: MaskRequest, view: string) =>
   ask<{ outline: Outline | null; share: number | null }>("mask", { request, view });
-export const askSurface = (view: string, at: [number, number]) =>
-  ask<{ centre: Vector; depth: number }>("surface", { view, at });
 export const askToCarry = (request: MaskRequest) => ask<{ number: number }>("carry", { request });
 export const askProgress = (revision: number) => ask<Progress>("progress", { revision });
 export const save = (request: MaskRequest) => ask<{ file: string; then: string }>("save", { request });

@@ -31,6 +31,9 @@ class Config(Closed):
     refine_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
         default=3, description="GrabCut iterations on each view that the object is carried to"
     )
+    edge_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
+        default=2, description="GrabCut iterations along the outline, at the pictures' own size"
+    )
     voxels: Annotated[int, Field(ge=8, le=256)] = Field(
         default=64, description="cells along the longest side of the voxel hull"
     )

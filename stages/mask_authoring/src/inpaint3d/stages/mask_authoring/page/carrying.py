@@ -16,13 +16,14 @@ from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import MaskRequest
 from inpaint3d.contracts.models.artifacts.masks import ObjectRequest
-from inpaint3d.stages.mask_authoring.author import Scene, author
+from inpaint3d.stages.mask_authoring.author import author
 from inpaint3d.stages.mask_authoring.authored import Authored
 from inpaint3d.stages.mask_authoring.config import Config
-from inpaint3d.stages.mask_authoring.consistency import measure_consistency
+from inpaint3d.stages.mask_authoring.consistency import Agreement, measure_agreement
 from inpaint3d.stages.mask_authoring.page.masks import Outline, trace_outline
 from inpaint3d.stages.mask_authoring.page.pictures import Subject
 from inpaint3d.stages.mask_authoring.requests import find_view
+from inpaint3d.stages.mask_authoring.scene import Scene
 from inpaint3d.stages.mask_authoring.views import camera_distances
 
 NEAREST = 8
@@ -44,6 +45,8 @@ class Carried:
     outlines: dict[str, Outline] = field(default_factory=dict[str, Outline])
     shares: dict[str, float] = field(default_factory=dict[str, float])
     """Of each view's pixels, how many are in the hole."""
+    to_check: tuple[str, ...] = ()
+    """Views whose masks agree little with their neighbours'."""
 
 
 class Carrier(threading.Thread):
@@ -114,29 +117,33 @@ class Carrier(threading.Thread):
         everything = list(range(len(views)))
         if not isinstance(request.mask, ObjectRequest) or len(views) < 2 * NEAREST:
             return [everything]
-        source = find_view(views, request.mask.view)
-        apart = camera_distances([view.camera for view in views])[source]
-        return [sorted(np.argsort(apart, kind="stable")[: NEAREST + 1].tolist()), everything]
+        pointed = [find_view(views, prompts.view) for prompts in request.mask.prompts]
+        apart = camera_distances([view.camera for view in views])[pointed].min(0)
+        count = max(NEAREST + 1, len(pointed))  # those pointed at are at no distance
+        return [sorted(np.argsort(apart, kind="stable")[:count].tolist()), everything]
 
     def _author(self, number: int, request: MaskRequest, chosen: Sequence[int]) -> dict[str, Any]:
         scene = self._subject.scene
-        some = Scene([scene.views[i] for i in chosen], [scene.depth_views[i] for i in chosen], [], scene.ordered)
+        views, depth_views = [scene.views[i] for i in chosen], [scene.depth_views[i] for i in chosen]
+        some = replace(scene, views=views, depth_views=depth_views)
         with self._context(number) as ctx:
             authored = author(request.mask, some, request.dilate, self._config, ctx)
             ctx.progress(len(chosen), len(chosen))
-        return {
-            "outlines": {
-                scene.views[i].name: trace_outline(mask, *self._subject.picture_size(i))
-                for i, mask in zip(chosen, authored.masks, strict=True)
-            },
-            "shares": {scene.views[i].name: float(m.mean()) for i, m in zip(chosen, authored.masks, strict=True)},
-            "consistency": self._measure(some, authored) if len(chosen) == len(scene.views) else None,
+        sizes = [self._subject.picture_size(i) for i in chosen]
+        outlines = [trace_outline(mask, *size) for mask, size in zip(authored.masks, sizes, strict=True)]
+        names = [view.name for view in views]
+        shown = {
+            "outlines": dict(zip(names, outlines, strict=True)),
+            "shares": {name: float(mask.mean()) for name, mask in zip(names, authored.masks, strict=True)},
         }
+        agreement = self._measure(some, authored)
+        return shown | {"consistency": agreement.set, "to_check": agreement.to_check(names)} if agreement else shown
 
-    def _measure(self, scene: Scene, authored: Authored) -> float | None:
-        if authored.primitives:
+    def _measure(self, scene: Scene, authored: Authored) -> Agreement | None:
+        """Of masks that have been carried to all views; volumes agree by construction."""
+        if authored.primitives or len(scene.views) < len(self._subject.scene.views):
             return None
-        return measure_consistency(scene.depth_views, authored.masks, self._config.depth_tolerance)
+        return measure_agreement(scene.depth_views, authored.masks, self._config.depth_tolerance)
 
     @contextlib.contextmanager
     def _context(self, number: int) -> Generator[Context]:

@@ -4,7 +4,7 @@ import mimetypes
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import cache
+from functools import cache, lru_cache
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path
@@ -14,16 +14,17 @@ from pydantic import Field
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts import MaskRequest
-from inpaint3d.contracts.models.base import Closed, Finite, FrameName
+from inpaint3d.contracts.models.base import Closed, FrameName
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.carrying import Carrier
-from inpaint3d.stages.mask_authoring.page.masks import check_request, find_surface, mask_at_once, trace_outline
+from inpaint3d.stages.mask_authoring.page.masks import check_request, mask_at_once, trace_outline
 from inpaint3d.stages.mask_authoring.page.pictures import PICTURE_SIDE, THUMBNAIL_SIDE, Subject
 from inpaint3d.stages.mask_authoring.page.saving import read_request, write_request
 from inpaint3d.stages.mask_authoring.page.server import Answer, Refusal, answer_json
 
 PACKAGE = "inpaint3d.stages.mask_authoring.page"
 BUNDLE = ("index.html", "page.js", "page.css", "icon.svg")
+KEPT_PICTURES = 64
 SIDES = {"frames": PICTURE_SIDE, "thumbnails": THUMBNAIL_SIDE}
 
 
@@ -32,13 +33,6 @@ class MaskQuestion(Closed):
 
     request: MaskRequest
     view: FrameName
-
-
-class SurfaceQuestion(Closed):
-    """The surface under a pixel of a view's picture, as the page has it."""
-
-    view: FrameName
-    at: tuple[Finite, Finite]
 
 
 class CarryQuestion(Closed):
@@ -64,11 +58,11 @@ class Editor:
         self._title, self._subject, self._saved, self._then = title, subject, saved, then
         self._config, self._seed = config, seed
         self._one_at_a_time = threading.Lock()
+        self._encode = lru_cache(maxsize=KEPT_PICTURES)(subject.picture)
         self._carrier = Carrier(subject, config, seed)
         self._carrier.start()
         self._methods: dict[str, tuple[type[Closed], Callable[[Any], dict[str, Any]]]] = {
             "mask": (MaskQuestion, self._mask),
-            "surface": (SurfaceQuestion, self._find_surface),
             "carry": (CarryQuestion, self._carry),
             "progress": (ProgressQuestion, self._progress),
             "save": (SaveQuestion, self._save),
@@ -114,7 +108,7 @@ class Editor:
 
     def _picture(self, name: str, longest: int) -> bytes:
         with self._one_at_a_time:  # a decoded photo is large
-            return self._subject.picture(self._find_view(name), longest)
+            return self._encode(self._find_view(name), longest)
 
     def _find_view(self, name: str) -> int:
         names = self._subject.names()
@@ -125,15 +119,11 @@ class Editor:
     def _mask(self, question: MaskQuestion) -> dict[str, Any]:
         view = self._find_view(question.view)
         check_request(question.request.mask, self._subject)
-        mask = mask_at_once(question.request.mask, self._subject, view, self._config, self._seed)
+        mask = mask_at_once(question.request.mask, self._subject, question.view, self._config, self._seed)
         if mask is None:
             return {"outline": None, "share": None}
         size = self._subject.picture_size(view)
         return {"outline": trace_outline(mask, *size), "share": float(mask.mean())}
-
-    def _find_surface(self, question: SurfaceQuestion) -> dict[str, Any]:
-        centre, depth = find_surface(self._subject, self._find_view(question.view), *question.at)
-        return {"centre": centre, "depth": depth}
 
     def _carry(self, question: CarryQuestion) -> dict[str, Any]:
         if self._subject.missing is not None:

@@ -4,19 +4,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts.masks import (
     BoxRequest,
+    ImportedRequest,
+    ObjectPrompts,
     ObjectRequest,
     OutpaintRequest,
     ScribbleRequest,
     SphereRequest,
+    SurfaceClick,
+    UnionRequest,
+    list_parts,
 )
 from inpaint3d.scene.volumes import volume_mask
-from inpaint3d.stages.mask_authoring.author import Request, Scene
+from inpaint3d.stages.mask_authoring.author import Request
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.pictures import Subject, fit_size
-from inpaint3d.stages.mask_authoring.requests import find_view, object_prompts, scribble_path
+from inpaint3d.stages.mask_authoring.requests import find_view, object_prompts, scribble_path, surface_pixel
+from inpaint3d.stages.mask_authoring.scene import Scene
 from inpaint3d.stages.mask_authoring.scribble import draw
 from inpaint3d.stages.mask_authoring.segment import segment
 from inpaint3d.stages.mask_authoring.volumes import place
@@ -30,45 +35,45 @@ SMOOTH_SIDE = 640  # pixels; masks are enlarged to this before their outline is 
 SIMPLER = 0.6  # pixels of that size by which an outline may differ from the mask's
 
 
-def mask_at_once(request: Request, subject: Subject, view: int, config: Config, seed: int) -> Bools | None:
+def mask_at_once(request: Request, subject: Subject, view: str, config: Config, seed: int) -> Bools | None:
     """The mask that a request gives on one view, bool [h, w] of some size; None where only carrying can tell.
 
     ConfigurationError where the request cannot work.
     """
     scene = subject.scene
+    index = find_view(scene.views, view)
     match request:
         case ObjectRequest():
-            return _cut_out(request, scene, config, seed) if find_view(scene.views, request.view) == view else None
+            given = next((prompts for prompts in request.prompts if prompts.view == view), None)
+            return None if given is None else _cut_out(given, scene, config, seed)
         case ScribbleRequest():
-            return _draw(request, scene, seed) if find_view(scene.views, request.view) == view else None
+            return _draw(request, scene, seed) if request.view == view else None
         case SphereRequest() | BoxRequest() | OutpaintRequest():
-            primitive = place(request, scene.depth_views, ordered=scene.ordered)
-            return volume_mask(scene.depth_views[view].camera, primitive)
+            return volume_mask(scene.depth_views[index].camera, place(request, scene))
+        case UnionRequest():
+            parts = [mask_at_once(part, subject, view, config, seed) for part in request.of]
+            known = [mask for mask in parts if mask is not None]
+            return np.logical_or.reduce(known) if len({mask.shape for mask in known}) == 1 else None
+        case ImportedRequest():
+            return scene.views[index].mask()
         case _:
-            return scene.views[view].mask()
+            return None
 
 
 def check_request(request: Request, subject: Subject) -> None:
-    """ConfigurationError where the request points outside the pictures, or at nothing."""
+    """ConfigurationError where the request points at no view, or outside of one."""
     views = subject.scene.views
-    if isinstance(request, ObjectRequest):
-        object_prompts(request, views[find_view(views, request.view)].camera)
-    elif isinstance(request, ScribbleRequest):
-        scribble_path(request, views[find_view(views, request.view)].camera)
-
-
-def find_surface(subject: Subject, view: int, x: float, y: float) -> tuple[list[float], float]:
-    """The point of the surface under a pixel of the page's picture [3], and its depth, both in scene units.
-
-    ConfigurationError where the field has no surface there.
-    """
-    seen = subject.scene.depth_views[view]
-    width, height = subject.picture_size(view)
-    xy = np.array([x * seen.camera.width / width, y * seen.camera.height / height])
-    depth = float(seen.depth_at(xy))
-    if not np.isfinite(depth):
-        raise ConfigurationError("there is no surface at this point; click on a thing that the field shows")
-    return [float(v) for v in seen.camera.unproject(xy, depth)], depth
+    for part in list_parts(request):
+        match part:
+            case ObjectRequest():
+                for prompts in part.prompts:
+                    object_prompts(prompts, views[find_view(views, prompts.view)].camera)
+            case ScribbleRequest():
+                scribble_path(part, views[find_view(views, part.view)].camera)
+            case SphereRequest(surface=SurfaceClick() as click) | BoxRequest(surface=SurfaceClick() as click):
+                surface_pixel(click, views[find_view(views, click.view)].camera)
+            case _:
+                pass
 
 
 def trace_outline(mask: Bools, width: int, height: int) -> Outline:
@@ -81,12 +86,12 @@ def trace_outline(mask: Bools, width: int, height: int) -> Outline:
     return [[round(float(v), 1) for v in ((points + 0.5) * scale).ravel()] for points in simple if len(points) > 2]
 
 
-def _cut_out(request: ObjectRequest, scene: Scene, config: Config, seed: int) -> Bools:
-    source = find_view(scene.views, request.view)
+def _cut_out(prompts: ObjectPrompts, scene: Scene, config: Config, seed: int) -> Bools:
+    source = find_view(scene.views, prompts.view)
     camera, view = scene.views[source].camera, scene.depth_views[source]
     small = view.resized(*fit_size(view.camera.width, view.camera.height, AT_ONCE_SIDE))
     factor = np.array([small.camera.width / camera.width, small.camera.height / camera.height])
-    return segment(small, object_prompts(request, camera).scaled(factor), config.grabcut_rounds, seed)
+    return segment(small, object_prompts(prompts, camera).scaled(factor), config.grabcut_rounds, seed)
 
 
 def _draw(request: ScribbleRequest, scene: Scene, seed: int) -> Bools:

@@ -1,8 +1,7 @@
 """What the page shows: the views of a capture as far as they are known, as pictures that a browser reads."""
 
-import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,14 +12,13 @@ from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View, load_posed
 from inpaint3d.scene.colour import to_bytes
 from inpaint3d.scene.image_io import Image
-from inpaint3d.stages.mask_authoring.author import Scene
-from inpaint3d.stages.mask_authoring.views import DepthView, load_depth_views
+from inpaint3d.stages.mask_authoring.scene import Scene, load_scene
+from inpaint3d.stages.mask_authoring.views import DepthView
 
 PICTURE_SIDE = 1600
 """Pixels; the longest side of a picture on the page. Requests say so in `frame_size`."""
 THUMBNAIL_SIDE = 160
 CARRYING_SIDE = 480  # pixels; masks on the page are carried on pictures of at most this size
-KEPT_PICTURES = 64
 NO_CAMERAS = "Cameras are not known yet: masks are shown on the picture that you point at, and a sphere has no place."
 NO_FIELD = "There is no field yet, and so no depth: masks are shown on the picture that you point at."
 
@@ -36,16 +34,11 @@ class Subject:
     def names(self) -> list[str]:
         return [view.name for view in self.scene.views]
 
-    def index(self, name: str) -> int:
-        """Of a view; ValueError where there is none of that name."""
-        return self.names().index(name)
-
     def picture_size(self, index: int) -> tuple[int, int]:
         """Width and height of a view's picture on the page."""
         camera = self.scene.views[index].camera
         return fit_size(camera.width, camera.height, PICTURE_SIDE)
 
-    @functools.lru_cache(maxsize=KEPT_PICTURES)  # noqa: B019 - there is one subject for as long as the process lasts
     def picture(self, index: int, longest: int) -> bytes:
         """A view's picture as JPEG, its longest side at most `longest` pixels."""
         view = self.scene.views[index]
@@ -66,15 +59,17 @@ def open_subject(
 ) -> Subject:
     """The views with cameras and depth where these are there; else those with cameras, else the pictures alone."""
     if posed is not None and field is not None:
-        views, depth_views = load_depth_views(posed, field)
-        missing = None
+        scene, missing = load_scene(posed, field), None
+    elif posed is not None:
+        scene, missing = _without_depth(load_posed(posed), ordered=posed.metadata.ordered), NO_FIELD
     else:
-        views = _pictures_alone(capture) if posed is None else load_posed(posed)
-        depth_views = [DepthView(v.name, v.camera, np.full((1, 1), np.inf), v.image) for v in views]
-        missing = NO_CAMERAS if posed is None else NO_FIELD
-    kept = [_keep_small(view) for view in depth_views]
-    ordered = posed.metadata.ordered if posed is not None else capture.metadata.ordered
-    return Subject(Scene(views, kept, [], ordered), missing)
+        scene, missing = _without_depth(_pictures_alone(capture), ordered=capture.metadata.ordered), NO_CAMERAS
+    return Subject(replace(scene, depth_views=[_keep_small(view) for view in scene.depth_views]), missing)
+
+
+def _without_depth(views: list[View], *, ordered: bool) -> Scene:
+    nowhere = np.full((1, 1), np.inf)
+    return Scene(views, [DepthView(v.name, v.camera, nowhere, v.image) for v in views], [], ordered)
 
 
 def _pictures_alone(capture: Artifact[Capture]) -> list[View]:
@@ -91,7 +86,7 @@ def _keep_small(view: DepthView) -> DepthView:
     """The view at the size that masks are carried at, its picture decoded once."""
     width, height = fit_size(view.camera.width, view.camera.height, CARRYING_SIDE)
     small = view.resized(width, height) if width < view.camera.width else view
-    return DepthView(small.name, small.camera, small.depth, _once(small.image))
+    return replace(small, image=_once(small.image))
 
 
 def _once(image: Callable[[], Image]) -> Callable[[], Image]:
