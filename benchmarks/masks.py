@@ -5,8 +5,8 @@
 Of each capture the pipeline is run up to nerf-pretraining (below --work; what is done is found there). Then the object
 is pointed at on one view, and the masks that mask-authoring finds in all others are compared with the known ones (IoU),
 without the growth that a request adds. Clicks are chosen without looking: the innermost points of two, of three equally
-high slices of the known mask, which is what a person would aim at; every view of the statue and every fifth of the demo
-capture is pointed at in turn, so that nothing hangs on a lucky click. The demo's own request is a row of its own. CPU
+high slices of the known mask, which is what a person would aim at; every fifth view is
+pointed at in turn, so that nothing hangs on a lucky click. The demo's own request is a row of its own. CPU
 seconds are those of authoring, for all views together.
 
 statue: a folder with images/, masks/ and cameras. The demo capture's masks are its renderer's. Writes
@@ -42,7 +42,7 @@ from inpaint3d.stages.mask_authoring.segment import iou
 RESULTS = REPOSITORY / "benchmarks" / "results" / "masks.json"
 WORK = REPOSITORY / ".cache" / "bench-masks"
 DEMO = REPOSITORY / "examples" / "demo"
-DEMO_EVERY = 5
+EVERY = 5
 SHEET = 12  # views on a contact sheet
 FOUND, MISSED, TOO_MUCH = (0.1, 0.8, 0.2), (0.1, 0.3, 1.0), (1.0, 0.1, 0.1)
 
@@ -128,10 +128,10 @@ def choose_clicks(mask: Mask, count: int) -> list[tuple[float, float]]:
     return clicks
 
 
-def point_everywhere(bench: Bench, clicks: int, every: int) -> list[dict[str, Any]]:
-    """Every so many views pointed at in turn."""
+def point_in_turn(bench: Bench, clicks: int) -> list[dict[str, Any]]:
+    """Every fifth view pointed at in turn."""
     rows: list[dict[str, Any]] = []
-    for view, truth in list(zip(bench.scene.views, bench.truth, strict=True))[::every]:
+    for view, truth in list(zip(bench.scene.views, bench.truth, strict=True))[::EVERY]:
         mask = {"kind": "object", "view": view.name, "points": choose_clicks(truth, clicks)}
         row, _ = bench.measure(MaskRequest.model_validate({"mask": mask, "dilate": 0}))
         rows.append(row)
@@ -187,10 +187,10 @@ def main() -> None:
     rows: dict[str, list[dict[str, Any]]] = results["rows"]
     demo, (request, _) = prepare_demo(options.work), load_document(DEMO / "mask.yaml", MaskRequest)
     rows["demo, its mask.yaml"] = [measure_own(demo, request, options.work / "sheets" / "demo.png")]
-    rows |= {f"demo, {n}": point_everywhere(demo, n, DEMO_EVERY) for n in (2, 3)}
+    rows |= {f"demo, {n}": point_in_turn(demo, n) for n in (2, 3)}
     if options.statue is not None:
         statue = prepare_statue(options.statue, options.work)
-        rows |= {f"statue, {n}": point_everywhere(statue, n, 1) for n in (1, 2, 3)}
+        rows |= {f"statue, {n}": point_in_turn(statue, n) for n in (1, 2, 3)}
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     table = write_table(results)
     RESULTS.with_suffix(".md").write_text(table)

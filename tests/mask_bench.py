@@ -103,10 +103,10 @@ def field(store: Store, scene: SyntheticScene, noise: float = 0.0, opaque: float
     return store.put(folder, "radiance-field", metadata)
 
 
-def make_bench(folder: Path) -> Bench:
-    """Eight views over 160 degrees, depth 2 % off in bumps."""
+def make_bench(folder: Path, *, views: int = 8, width: int = 160, height: int = 120) -> Bench:
+    """Views over 160 degrees, depth 2 % off in bumps."""
     store = FolderStore(folder)
-    scene = synthetic_scene(views=8, width=160, height=120, arc_deg=160)
+    scene = synthetic_scene(views=views, width=width, height=height, arc_deg=160)
     return Bench(store, scene, {"posed-capture": capture(store, scene), "radiance-field": field(store, scene, 0.02)})
 
 

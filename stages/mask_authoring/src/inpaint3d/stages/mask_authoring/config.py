@@ -35,7 +35,7 @@ class Config(Closed):
         default=2, description="GrabCut iterations along the outline, at the pictures' own size"
     )
     voxels: Annotated[int, Field(ge=8, le=256)] = Field(
-        default=64, description="cells along the longest side of the voxel hull"
+        default=80, description="cells along the longest side of the voxel hull"
     )
     agreement: Share = Field(
         default=0.9, description="a voxel is the object's where this share of the views that can tell see it inside"
