@@ -179,6 +179,7 @@ def test_what_is_saved_is_the_request_and_is_opened_again(editor, room, tmp_path
     request = on_ball(room, frame_size=[120, 90], background=[[3.5, 4]])
     assert ask(editor, "save", request=request)["then"] == "inpaint3d run PHOTOS"
     wanted = MaskRequest.model_validate(request)
+    assert (tmp_path / "mask.yaml").read_text().splitlines()[1:4] == ["mask:", "  kind: object", "  view: view_002"]
     assert load_document(tmp_path / "mask.yaml", MaskRequest)[0] == wanted
     with open_editor(room, tmp_path) as again:
         assert tell(again)["saved"] == wanted.model_dump(mode="json")

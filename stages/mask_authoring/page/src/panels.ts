@@ -157,8 +157,9 @@ export function listSettings(parent: HTMLElement, history: History): void {
 
 /** The shape with its one size changed by a factor; null where it has none. */
 export function resize(shape: Shape | null, factor: number): Shape | null {
-  if (shape?.kind === "sphere") return { ...shape, radius: shape.radius * factor };
-  if (shape?.kind === "scribble") return { ...shape, thickness: Math.min(1, shape.thickness * factor) };
+  const round = (size: number) => Math.round(1000 * Math.min(1, size)) / 1000;
+  if (shape?.kind === "sphere") return { ...shape, radius: round(shape.radius * factor) };
+  if (shape?.kind === "scribble") return { ...shape, thickness: round(shape.thickness * factor) };
   return null;
 }
 
