@@ -1,6 +1,6 @@
 """Parameters of mask authoring. What is to be masked is the mask request's to say, not theirs."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -36,6 +36,11 @@ class Config(Closed):
     )
     voxels: Annotated[int, Field(ge=8, le=256)] = Field(
         default=80, description="cells along the longest side of the voxel hull"
+    )
+    hole: Literal["object", "unseen"] = Field(
+        default="object",
+        description="what completion and the joint optimisation fill: all that is masked, or what of it no other view "
+        "shows (of an outpainting, always all)",
     )
     agreement: Share = Field(
         default=0.9, description="a voxel is the object's where this share of the views that can tell see it inside"

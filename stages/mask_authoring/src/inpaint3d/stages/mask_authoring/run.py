@@ -22,6 +22,7 @@ from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.consistency import Agreement, measure_agreement
 from inpaint3d.stages.mask_authoring.requests import example_request
 from inpaint3d.stages.mask_authoring.scene import load_scene
+from inpaint3d.stages.mask_authoring.unseen import find_unseen
 
 TOO_MUCH = 0.95  # of all pixels masked: nothing is left to reconstruct the scene from
 
@@ -42,7 +43,11 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     names = Names([v.name for v in scene.views], [v.name for v in scene.truth])
     report(authored, agreement, names.views, ctx)
     folder = outputs.folder("mask-set")
-    outputs.write("mask-set", write_mask_set(folder, authored, names, agreement))
+    # Around an outpainted scene other views show nothing by definition.
+    hidden = None if authored.origin == "outpaint" else find_unseen(scene.depth_views, authored.masks)
+    metadata = write_mask_set(folder, authored, names, agreement, hidden)
+    hole = config.hole if hidden is not None else "object"
+    outputs.write("mask-set", metadata.model_copy(update={"hole": hole}))
     ctx.progress(1, 1, authored.method, share=authored.mean_share)
 
 

@@ -63,6 +63,9 @@ class MaskSet(Closed):
     kind: Literal["volume", "per-view"]
     task: Literal["inpaint", "outpaint"]
     origin: Origin
+    hole: Literal["object", "unseen"] = Field(
+        default="object", description="what is to be filled: all of each mask, or what of it no other view shows"
+    )
     method: str = Field(description="how it was made, e.g. 'grabcut seeded by points, reprojected with field depth'")
     primitives: tuple[Primitive, ...] = ()
     views: tuple[MaskView, ...]
