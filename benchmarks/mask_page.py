@@ -2,7 +2,7 @@
 
     python -m benchmarks.mask_page RUN [--store PLACE] [--request examples/demo/mask.yaml]
 
-RUN is a run that has a field. Processor seconds of one thread and seconds by the clock, best of three, without the
+RUN is a run that has a field. Processor seconds of one thread and seconds by the clock, best of two, without the
 browser's share (some 30 ms). Writes `benchmarks/results/mask_page.json`.
 """
 
@@ -25,7 +25,7 @@ from inpaint3d.stages.mask_authoring.page.masks import mask_at_once
 from inpaint3d.stages.mask_authoring.page.pictures import Subject, open_subject
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "mask_page.json"
-REPEATS = 3
+REPEATS = 2
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 import http.client
 import json
 import socket
+import struct
 import threading
 import time
 
@@ -140,6 +141,14 @@ def test_nothing_that_holds_the_token_is_written(server, capfd):
     ask(server, f"/{server.token}/", "PUT")
     said = capfd.readouterr()
     assert server.token not in said.out + said.err
+
+
+def test_who_goes_away_in_the_middle_is_no_error(server, capfd):
+    with socket.create_connection(server.server_address) as connection:
+        connection.sendall(b"GET / HT")
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # no farewell: a reset
+    assert is_answered(server)
+    assert capfd.readouterr().err == ""
 
 
 def is_answered(server):

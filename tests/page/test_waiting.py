@@ -14,8 +14,10 @@ import pytest
 import yaml
 
 from inpaint3d.contracts.models.artifacts import MaskSet
+from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.masks_cli import SHOWN
 from tests.conftest import REPOSITORY
 from tests.page.room import build_room
 
@@ -83,6 +85,14 @@ def origin_of(cli):
     store = open_store(str(cli.store))
     (node,) = [n for n in History(store).latest("tiny").nodes if n.node == "mask-authoring"]
     return store.open(node.outputs["mask-set"], MaskSet).metadata.origin
+
+
+def test_what_the_page_shows_of_a_run_is_what_mask_authoring_reads():
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml")
+    read = pipeline.nodes["mask-authoring"].inputs
+    for option, (node, port) in SHOWN.items():
+        assert port in pipeline.stages[node].spec.outputs
+        assert option == "capture" or read[option] == f"{node}.{port}"
 
 
 def test_the_page_of_pictures_that_were_never_run_is_served_until_it_is_interrupted(cli):

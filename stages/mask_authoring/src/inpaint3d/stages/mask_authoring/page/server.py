@@ -7,6 +7,7 @@ browser ask under another name (DNS rebinding) is told by `Host`, another site's
 import json
 import re
 import secrets
+import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -101,8 +102,9 @@ class PageServer(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002 - the library's signature
-        """Whoever goes away in the middle is no error."""
-        traceback.print_exc()
+        """Who goes away in the middle is no error."""
+        if not isinstance(sys.exception(), ConnectionError):
+            traceback.print_exc()
 
 
 class _Handler(BaseHTTPRequestHandler):
