@@ -74,7 +74,7 @@ def _fail(error: Inpaint3dError) -> None:
     sys.exit(error.exit_code)
 
 
-def _images(environment: Environment) -> Mapping[str, Image] | None:
+def _load_images(environment: Environment) -> Mapping[str, Image] | None:
     """The images whose digests stand for the stages' code, where stages run in them."""
     return None if environment.runner == "process" else load_document(environment.images, ImagesSpec)[0].spec
 
@@ -99,7 +99,7 @@ def run(
     scenes = list_scenes(capture, scene, name)
     folders = [places.runs_dir / name_run(path, scene_name) for path, scene_name in scenes]
     requests = [ConfiguredRequest(use_saved(request, folder), selection) for folder in folders]
-    store, images = open_store(places.store), _images(environment)
+    store, images = open_store(places.store), _load_images(environment)
     runner = ProcessRunner() if images is None else ContainerRunner(find_engine(engine), images)
     codes: list[int] = []
     for (path, scene_name), folder, configured in zip(scenes, folders, requests, strict=True):
@@ -214,7 +214,7 @@ def plan(
 ) -> None:
     """Say what `run` would do and why, stage by stage, without doing it."""
     configured = ConfiguredRequest(use_saved(request, places.runs_dir / name_run(capture, name)), selection)
-    planner = configured.planner(open_store(places.store), capture, name, _images(environment))
+    planner = configured.planner(open_store(places.store), capture, name, _load_images(environment))
     show_nodes(preview(planner, selection), as_json=as_json)
 
 

@@ -136,7 +136,7 @@ def with_options(command: Callable[..., Any]) -> Callable[..., Any]:
     flat: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         if is_dataclass(hints[name]):
-            groups[name] = _options(hints[name])
+            groups[name] = _make_options(hints[name])
             flat += groups[name].values()
         else:
             flat.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name]))
@@ -151,7 +151,7 @@ def with_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return expanded
 
 
-def _options(group: Any) -> dict[str, inspect.Parameter]:
+def _make_options(group: Any) -> dict[str, inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     return {
         field.name: inspect.Parameter(

@@ -95,11 +95,11 @@ class Planner:
 
     def task(self, node: str, *, force: bool = False) -> Task:
         """Key, stored result and reason of a node whose upstream is known."""
-        inputs = self._inputs(node)
+        inputs = self._find_inputs(node)
         spec = self.pipeline.stages[node]
         components = key_components(
             spec,
-            code=self._code(spec),
+            code=self._digest_code(spec),
             parameters=self.configured.parameters[node],
             inputs=inputs,
             seed=self.configured.seeds[node],
@@ -124,14 +124,14 @@ class Planner:
                 return find_unknown_view(self.store, request, self.outputs[node][port], self.mask)
         return None
 
-    def _code(self, spec: StageSpec) -> Digest:
+    def _digest_code(self, spec: StageSpec) -> Digest:
         if self.images is None:
             return code_digest(spec.spec.module)
         if spec.spec.image not in self.images:
             raise ConfigurationError(f"images.yaml has no {spec.spec.image}; run `make images`")
         return self.images[spec.spec.image].digest
 
-    def _inputs(self, node: str) -> Inputs:
+    def _find_inputs(self, node: str) -> Inputs:
         ports = self.pipeline.stages[node].spec.inputs
         inputs: Inputs = {}
         for port, references in self.pipeline.references(node).items():
@@ -193,15 +193,15 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
             planner.outputs[node] = task.record.outputs
             if (problem := planner.request_problem(node)) is not None:
                 raise ConfigurationError(problem)
-            rows.append(add_result(_row(task, "cached", task.reason), task.record))
+            rows.append(add_result(_make_row(task, "cached", task.reason), task.record))
         elif node in chosen:
-            rows.append(_row(task, "pending", "forced" if selection.force else task.reason))
+            rows.append(_make_row(task, "pending", "forced" if selection.force else task.reason))
         else:
-            rows.append(_row(task, "skipped", "not selected, and the store has no result"))
+            rows.append(_make_row(task, "skipped", "not selected, and the store has no result"))
     return [*rows, *planner.configured.left_out_rows()]
 
 
-def _row(task: Task, status: Any, reason: str) -> NodeRun:
+def _make_row(task: Task, status: Any, reason: str) -> NodeRun:
     return NodeRun(
         node=task.node, status=status, reason=reason, changes=task.changes, key=task.key, components=task.components
     )

@@ -76,7 +76,7 @@ class Scheduler:
         """
         (self.folder / "logs").mkdir(parents=True, exist_ok=True)
         try:
-            with self._signals(), self._starter():
+            with self._handle_signals(), self._open_starter():
                 self._go_along()
         except BrokenPipeError as error:
             self._abort("stopped", gone := "nobody reads standard output any more")
@@ -100,7 +100,7 @@ class Scheduler:
         with contextlib.suppress(OSError):  # what failed may be the display
             self.display.close()
         for node in self._running:
-            self._results[node] = self._node_run(self._tasks[node], "stopped").model_copy(update={"error": message})
+            self._results[node] = self._make_row(self._tasks[node], "stopped").model_copy(update={"error": message})
         self._running.clear()
         self._add_missing()
         self.record = self.record.model_copy(update={"error": message})
@@ -124,7 +124,7 @@ class Scheduler:
                 progressed = True
             elif node not in self._chosen:
                 self._close(task, "skipped", reason="not selected, and the store has no result")
-            elif self._may_start() and (threads := self._room(node)) > 0:
+            elif self._may_start() and (threads := self._count_free_threads(node)) > 0:
                 self._start(task, threads)
                 progressed = True
         return progressed
@@ -132,7 +132,7 @@ class Scheduler:
     def _may_start(self) -> bool:
         return not self._stopped and all(r.status not in ("failed", "waiting") for r in self._results.values())
 
-    def _room(self, node: str) -> int:
+    def _count_free_threads(self, node: str) -> int:
         """Threads for a node now: its request if free, up to its limit where nobody else is waiting; 0: no room."""
         resources = self.planner.pipeline.stages[node].spec.resources
         wanted = min(self.cores, max(1, int(count_cpus(resources.requests.get("cpu", "1")))))
@@ -181,9 +181,9 @@ class Scheduler:
             self.display.node(node, "running", str(event.get("message", "")))
         elif event["event"] == "exit":
             del self._running[node]
-            self._ended(self._tasks[node], running, int(event["code"]))
+            self._handle_end(self._tasks[node], running, int(event["code"]))
 
-    def _ended(self, task: Task, running: RunningStage, code: int) -> None:
+    def _handle_end(self, task: Task, running: RunningStage, code: int) -> None:
         if code == 0 and (record := self.planner.store.lookup(task.key, verify=False)) is not None:
             self._accept(task, "done", record)
             return
@@ -211,7 +211,7 @@ class Scheduler:
         self._close(task, status, error=message, exit_code=code)
 
     def _accept(self, task: Task, status: Status, record: Record) -> None:
-        run = add_result(self._node_run(task, status), record)
+        run = add_result(self._make_row(task, status), record)
         if run.doubts and not self.accept_doubtful:
             doubt = DoubtfulError(run.doubts)
             run = run.model_copy(update={"status": "failed", "error": str(doubt), "exit_code": doubt.exit_code})
@@ -236,12 +236,12 @@ class Scheduler:
                 self.display.node(node, "failed", error=problem)
 
     def _close(self, task: Task, status: Status, reason: str | None = None, **values: Any) -> None:
-        run = self._node_run(task, status).model_copy(update={"reason": reason or task.reason, **values})
+        run = self._make_row(task, status).model_copy(update={"reason": reason or task.reason, **values})
         self._results[task.node] = run
         self.display.node(task.node, status, run.reason, **{k: v for k, v in values.items() if v is not None})
         self._save("running")
 
-    def _node_run(self, task: Task, status: Status) -> NodeRun:
+    def _make_row(self, task: Task, status: Status) -> NodeRun:
         return NodeRun(
             node=task.node,
             status=status,
@@ -285,7 +285,7 @@ class Scheduler:
         self.planner.history.save(self.record)
 
     @contextlib.contextmanager
-    def _starter(self) -> Generator[None]:
+    def _open_starter(self) -> Generator[None]:
         with tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
             self._stages = Starter(self.runner, self.planner.store, Path(private), self._events)
             try:
@@ -302,7 +302,7 @@ class Scheduler:
             running.wait()
 
     @contextlib.contextmanager
-    def _signals(self) -> Generator[None]:
+    def _handle_signals(self) -> Generator[None]:
         """SIGINT, SIGTERM and SIGHUP stop the stages, which keep their checkpoints; a second one leaves at once."""
 
         def stop(number: int, _frame: object) -> None:

@@ -64,13 +64,13 @@ def fit_planes(points: NDArray[np.floating], tolerance: float) -> list[Plane]:
         plane = Plane.fit(rest[inside])
         inside = plane.distance(rest) < tolerance
         around = plane.distance(points.astype(np.float64)) < 3 * tolerance
-        if inside.sum() >= MIN_CONTRAST * around.sum() and _breadth(rest[inside]) > MIN_BREADTH * tolerance:
+        if inside.sum() >= MIN_CONTRAST * around.sum() and _measure_breadth(rest[inside]) > MIN_BREADTH * tolerance:
             planes.append(plane)
         rest = rest[~inside]
     return planes
 
 
-def _breadth(points: Array) -> float:
+def _measure_breadth(points: Array) -> float:
     """Standard deviation of points [n, 3] along the second of their principal directions."""
     return float(np.linalg.svd(points - points.mean(0), compute_uv=False)[1] / np.sqrt(len(points)))
 

@@ -40,8 +40,8 @@ def find(root: Path) -> Found:
     where = folder.relative_to(root).as_posix()
     cameras, images = read_model(folder)
     files = SourceFiles(root)
-    paths = {image.number: _picture(files, image.name, where) for image in images}
-    frames = _frames(root, paths, cameras, images, where)
+    paths = {image.number: _find_picture(files, image.name, where) for image in images}
+    frames = _match_frames(root, paths, cameras, images, where)
     notes = files.notes(where)
     if len(folders) > 1:
         others = ", ".join(f"{f.relative_to(root).as_posix()} with {n}" for f, n in sizes.items() if f != folder)
@@ -51,13 +51,13 @@ def find(root: Path) -> Found:
     return Found("colmap", frames, ordered=one_folder(frames), notes=notes)
 
 
-def _picture(files: SourceFiles, name: str, where: str) -> Path:
+def _find_picture(files: SourceFiles, name: str, where: str) -> Path:
     if path := files.find(name, where, below=PICTURE_FOLDERS):
         return path
     raise BadInputError(f"{where}: the model names {name}, which is not in images/; put the pictures there")
 
 
-def _frames(
+def _match_frames(
     root: Path, paths: dict[int, Path], cameras: dict[int, ListedCamera], images: list[ListedImage], where: str
 ) -> list[FoundFrame]:
     names = name_pictures(list(paths.values()))
@@ -69,12 +69,12 @@ def _frames(
                 f"{where}: {image.name} has the camera {image.camera}, which is not listed; export it again"
             )
         path = paths[image.number]
-        camera = _known(path, cameras[image.camera], image, where)
+        camera = _convert_known(path, cameras[image.camera], image, where)
         frames.append(FoundFrame(names[path], path, masks.get(path), camera))
     return sorted(frames, key=lambda f: numeric_order(f.image))
 
 
-def _known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
+def _convert_known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
     largest = max(map(abs, image.quaternion))
     if not 1 / MAX_QUATERNION < largest < MAX_QUATERNION or not np.isfinite(image.quaternion).all():
         raise BadInputError(f"{where}: {image.name} has the quaternion {list(image.quaternion)}; export it again")

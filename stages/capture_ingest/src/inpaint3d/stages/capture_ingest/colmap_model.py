@@ -59,7 +59,9 @@ def count_images(folder: Path) -> int:
 def read_model(folder: Path) -> tuple[dict[int, ListedCamera], list[ListedImage]]:
     """Cameras by number, and images; BadInputError names the file that is damaged or counts what it does not hold."""
     suffix, read_cameras, read_images = (
-        (".bin", _cameras_bin, _images_bin) if _is_binary(folder) else (".txt", _cameras_txt, _images_txt)
+        (".bin", _read_cameras_bin, _read_images_bin)
+        if _is_binary(folder)
+        else (".txt", _read_cameras_txt, _read_images_txt)
     )
     file = "cameras"
     try:
@@ -71,7 +73,7 @@ def read_model(folder: Path) -> tuple[dict[int, ListedCamera], list[ListedImage]
     return cameras, images
 
 
-def _rows(path: Path) -> tuple[list[tuple[int, str]], int | None]:
+def _read_rows(path: Path) -> tuple[list[tuple[int, str]], int | None]:
     """Lines with their numbers, without comments, and how many entries the comments say that there are."""
     lines = list(enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1))
     said = next((m for _, line in lines if (m := re.match(r"#\s*Number of \w+:\s*(\d+)", line))), None)
@@ -83,29 +85,29 @@ def _check_count(found: int, said: int | None) -> None:
         raise ValueError(f"its header counts {said} entries, but it holds {found}")
 
 
-def _cameras_txt(path: Path) -> dict[int, ListedCamera]:
-    rows, said = _rows(path)
+def _read_cameras_txt(path: Path) -> dict[int, ListedCamera]:
+    rows, said = _read_rows(path)
     listed = [line.split() for _, line in rows if line.strip()]
-    cameras = {int(r[0]): _camera(r[1], int(r[2]), int(r[3]), tuple(map(float, r[4:]))) for r in listed}
+    cameras = {int(r[0]): _make_camera(r[1], int(r[2]), int(r[3]), tuple(map(float, r[4:]))) for r in listed}
     _check_count(len(cameras), said)
     return cameras
 
 
-def _camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ListedCamera:
+def _make_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ListedCamera:
     check_model(model)
     return ListedCamera(model, width, height, params)
 
 
-def _images_txt(path: Path) -> list[ListedImage]:
+def _read_images_txt(path: Path) -> list[ListedImage]:
     """Two lines an image: its pose and name, and its points, which may be an empty line that a tool left out."""
-    rows, said = _rows(path)
+    rows, said = _read_rows(path)
     images: list[ListedImage] = []
     points_next = False
     for number, line in rows:
         if points_next and _is_points(line):
             points_next = False
         elif line.strip():
-            images.append(_image_txt(number, line))
+            images.append(_parse_image_txt(number, line))
             points_next = True
     _check_count(len(images), said)
     _check_unique(images)
@@ -118,7 +120,7 @@ def _is_points(line: str) -> bool:
     return len(fields) % 3 == 0 and all(re.fullmatch(r"[-+.\deEinfa]+", field) for field in fields)
 
 
-def _image_txt(number: int, line: str) -> ListedImage:
+def _parse_image_txt(number: int, line: str) -> ListedImage:
     row = line.split(maxsplit=IMAGE_FIELDS - 1)
     if len(row) < IMAGE_FIELDS:
         raise ValueError(f"line {number} is neither a picture's pose and name nor its points: {line[:60]}")
@@ -132,7 +134,7 @@ def _check_unique(images: list[ListedImage]) -> None:
         raise ValueError(f"{len(images)} images have {len(numbers)} different numbers")
 
 
-def _cameras_bin(path: Path) -> dict[int, ListedCamera]:
+def _read_cameras_bin(path: Path) -> dict[int, ListedCamera]:
     cameras: dict[int, ListedCamera] = {}
     with path.open("rb") as file:
         (count,) = _unpack(file, "<Q")
@@ -146,7 +148,7 @@ def _cameras_bin(path: Path) -> dict[int, ListedCamera]:
     return cameras
 
 
-def _images_bin(path: Path) -> list[ListedImage]:
+def _read_images_bin(path: Path) -> list[ListedImage]:
     images: list[ListedImage] = []
     with path.open("rb") as file:
         (count,) = _unpack(file, "<Q")

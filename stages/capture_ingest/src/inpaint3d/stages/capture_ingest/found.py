@@ -117,14 +117,14 @@ def masks_for(pictures: Sequence[Path], folder: Path) -> dict[Path, Path]:
     if not masks or not pictures:
         return {}
     shared = Path(os.path.commonpath([p.parent for p in pictures]))
-    keys = {_key(p.relative_to(shared)): p for p in pictures} | {
-        _key(p.relative_to(shared).with_suffix("")): p for p in pictures
+    keys = {_make_key(p.relative_to(shared)): p for p in pictures} | {
+        _make_key(p.relative_to(shared).with_suffix("")): p for p in pictures
     }
     found: dict[Path, Path] = {}
     strange: list[str] = []
     for mask in masks:
         listed = mask.relative_to(folder)
-        picture = keys.get(_key(listed.with_suffix("")))
+        picture = keys.get(_make_key(listed.with_suffix("")))
         if picture is None:
             strange.append(listed.as_posix())
         elif (other := found.setdefault(picture, mask)) is not mask:
@@ -139,7 +139,7 @@ def masks_for(pictures: Sequence[Path], folder: Path) -> dict[Path, Path]:
     return found
 
 
-def _key(path: PurePath) -> str:
+def _make_key(path: PurePath) -> str:
     return normalise_name(path.as_posix())
 
 

@@ -72,7 +72,7 @@ def detect(raw: Path) -> str:
         return "llff"
     if realestate10k.is_layout(raw):
         return "realestate10k"
-    if _videos(raw) and len(photos.list_photos(raw)) < 2:
+    if _list_videos(raw) and len(photos.list_photos(raw)) < 2:
         return "video"
     return "photos"
 
@@ -82,7 +82,7 @@ def find(raw: Path, config: Config, work: Path) -> Found:
     layout = detect(raw) if config.layout == "auto" else config.layout
     found = _find(layout, raw, config, work)
     found.notes.insert(0, _describe(found, marks_of(layout) if config.layout == "auto" else "capture-ingest.layout"))
-    if layout != "video" and (clips := _videos(raw)):
+    if layout != "video" and (clips := _list_videos(raw)):
         found.notes.append(f"{len(clips)} videos lie beside the pictures and are left out ({clips[0].name})")
     return found
 
@@ -103,7 +103,7 @@ def marks_of(layout: str) -> str:
 
 def _find(layout: str, raw: Path, config: Config, work: Path) -> Found:
     if layout == "video":
-        return video.find(_only_video(raw), config.video_frames, work)
+        return video.find(_find_only_video(raw), config.video_frames, work)
     if layout == "spin-nerf":
         return spin_nerf.find(raw, config.spin_nerf_truth)
     if layout == "blender":
@@ -114,16 +114,16 @@ def _find(layout: str, raw: Path, config: Config, work: Path) -> Found:
     return {"photos": photos, "colmap": colmap, "nerfstudio": nerfstudio, "llff": llff}[layout].find(raw)
 
 
-def _files(raw: Path) -> list[Path]:
+def _list_files(raw: Path) -> list[Path]:
     return sorted(p for p in raw.iterdir() if p.is_file()) if raw.is_dir() else []
 
 
-def _videos(raw: Path) -> list[Path]:
-    return [p for p in _files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+def _list_videos(raw: Path) -> list[Path]:
+    return [p for p in _list_files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
 
 
-def _only_video(raw: Path) -> Path:
-    videos = _videos(raw)
+def _find_only_video(raw: Path) -> Path:
+    videos = _list_videos(raw)
     if len(videos) != 1:
         raise BadInputError(f"{len(videos)} videos in {describe_folder(raw)}; give exactly one")
     return videos[0]

@@ -35,10 +35,10 @@ def read_cameras(root: Path, pictures: list[Path]) -> dict[Path, RowCamera]:
     if len(rows) != len(pictures):
         raise BadInputError(f"{FILE} has {len(rows)} cameras for {len(pictures)} pictures; they must be as many")
     as_text = sorted(pictures, key=lambda p: p.name)
-    cameras = {path: _camera(row, path) for row, path in zip(rows, as_text, strict=True)}
+    cameras = {path: _make_camera(row, path) for row, path in zip(rows, as_text, strict=True)}
     if as_text == pictures or any(c.params != cameras[as_text[0]].params for c in cameras.values()):
         return {path: RowCamera(camera) for path, camera in cameras.items()}
-    others = {path: _camera(row, path).world_from_cam for row, path in zip(rows, pictures, strict=True)}
+    others = {path: _make_camera(row, path).world_from_cam for row, path in zip(rows, pictures, strict=True)}
     return {path: RowCamera(camera, others[path]) for path, camera in cameras.items()}
 
 
@@ -70,7 +70,7 @@ def _read_rows(path: Path) -> np.ndarray:
         raise BadInputError(f"{FILE} cannot be read ({error}); export it again") from error
 
 
-def _camera(row: np.ndarray, path: Path) -> KnownCamera:
+def _make_camera(row: np.ndarray, path: Path) -> KnownCamera:
     pose = row[:15].reshape(3, 5)
     pose_height, pose_width, focal = (float(v) for v in pose[:, 4])
     if not (np.isfinite([pose_height, pose_width, focal]).all() and min(pose_height, pose_width, focal) > 0):

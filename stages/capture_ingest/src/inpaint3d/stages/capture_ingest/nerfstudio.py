@@ -51,10 +51,10 @@ def read_frames(files: SourceFiles, document: str) -> tuple[list[FoundFrame], li
         mask = _mask(files, values, document)
         camera = read_camera(path, values, document)
         frames.append(FoundFrame(names[path], path, mask or masks.get(path), camera, hole_is_black=mask is not None))
-    return frames, _notes(document, listed, len(frames))
+    return frames, _make_notes(document, listed, len(frames))
 
 
-def _notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
+def _make_notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
     notes: list[str] = []
     if missing := len(listed) - taken:
         notes.append(f"{document} lists {len(listed)} frames, {missing} of them are not there and left out")
@@ -84,7 +84,7 @@ def _mask(files: SourceFiles, values: dict[str, Any], document: str) -> Path | N
 
 def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamera:
     """A fisheye, OPENCV where there is distortion, else PINHOLE; BadInputError names the document and the picture."""
-    model = _model(values)
+    model = _name_model(values)
     try:
         check_model(model)
     except ValueError as error:
@@ -93,8 +93,8 @@ def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamer
     size = (header.width, header.height)
     try:
         size = (float(values.get("w", size[0])), float(values.get("h", size[1])))
-        fx = float(values["fl_x"]) if "fl_x" in values else _focal(float(values["camera_angle_x"]), size[0])
-        fy = float(values["fl_y"]) if "fl_y" in values else _vertical(values, fx, size[1])
+        fx = float(values["fl_x"]) if "fl_x" in values else _compute_focal(float(values["camera_angle_x"]), size[0])
+        fy = float(values["fl_y"]) if "fl_y" in values else _find_vertical_focal(values, fx, size[1])
         pinhole = (fx, fy, float(values.get("cx", size[0] / 2)), float(values.get("cy", size[1] / 2)))
         k1, k2, k3, k4, p1, p2 = (float(values.get(k, 0.0)) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
         pose = from_opengl(values["transform_matrix"])
@@ -111,7 +111,7 @@ def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamer
     return fit_camera(path, lens, pose, document)
 
 
-def _model(values: dict[str, Any]) -> str:
+def _name_model(values: dict[str, Any]) -> str:
     """The model's name in COLMAP's words; instant-ngp says by flags what is no perspective."""
     if values.get("ftheta_p0"):
         return "FTHETA (ftheta_p0)"
@@ -120,12 +120,12 @@ def _model(values: dict[str, Any]) -> str:
     return str(values.get("camera_model") or "OPENCV").upper()
 
 
-def _focal(angle: float, size: float) -> float:
+def _compute_focal(angle: float, size: float) -> float:
     return 0.5 * size / math.tan(0.5 * angle)
 
 
-def _vertical(values: dict[str, Any], fx: float, height: float) -> float:
+def _find_vertical_focal(values: dict[str, Any], fx: float, height: float) -> float:
     """By its own angle where there is one and no focal length at all, else as the horizontal one."""
     if "fl_x" not in values and "camera_angle_y" in values:
-        return _focal(float(values["camera_angle_y"]), height)
+        return _compute_focal(float(values["camera_angle_y"]), height)
     return fx

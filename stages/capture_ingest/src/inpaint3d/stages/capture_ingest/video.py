@@ -60,7 +60,7 @@ def _look_through(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     change: list[float] = []
     before: Bytes | None = None
     reader = cv2.VideoCapture(str(path))
-    while (picture := _next(reader)) is not None:
+    while (picture := _read_next(reader)) is not None:
         grey = _shrink(picture)
         sharpness.append(float(cv2.Laplacian(grey, cv2.CV_32F).var()))
         change.append(0.0 if before is None else float(cv2.norm(grey, before, cv2.NORM_L1)) / grey.size / 255)
@@ -75,7 +75,7 @@ def _shrink(picture: Bytes) -> Bytes:
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _next(reader: cv2.VideoCapture) -> Bytes | None:
+def _read_next(reader: cv2.VideoCapture) -> Bytes | None:
     good, picture = reader.read()
     return np.asarray(picture, np.uint8) if good else None
 

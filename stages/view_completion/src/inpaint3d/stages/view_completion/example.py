@@ -28,6 +28,8 @@ MIN_SOURCE = 500
 """Pixels of the source that the coarsest level holds at least."""
 EXHAUSTIVE_LEVELS = 2
 """Coarse levels at which every example is tried."""
+MAX_PAIRS = 30_000_000
+"""Patches to fill times examples beyond which the finest level is no such, unless it is the only one."""
 ROUNDS = 4
 """Votes at each level."""
 DEPTH_DISCOUNT = 1.3
@@ -39,6 +41,9 @@ MAX_LOG_STEP = 0.7
 GRADIENT_WEIGHT, GRADIENT_WINDOW = 8.0, 9
 """How many times a colour difference a difference in mean gradient counts; side of the square it is the mean over."""
 
+SAME_SIDE = 0.1
+"""Contrast of the lines between two places from which on they are not of one kind."""
+
 Picture = Float[Tensor, "h w c"]  # colours, and how lively the surroundings are
 Region = Bool[Tensor, "h w"]
 Origins = Int64[Tensor, "h w"]  # the pixel that each pixel is a copy of; itself where nothing was copied
@@ -49,6 +54,7 @@ def fill_by_example(
     hole: Mask,
     source: Mask,
     *,
+    lines_crossed: NDArray[np.float32] | None = None,
     variety: float = 0.0,
     seed: int = 0,
     device: torch.device | str = "cpu",
@@ -58,10 +64,12 @@ def fill_by_example(
 
     What `image` holds in the hole is never looked at; what lies outside both is seen, and not copied. Where the source
     holds no whole patch the hole is filled by Telea's method, and nothing copied. variety: at the coarsest level any
-    patch may be taken that is by at most this share less alike than the best; which, `seed` says. device: where patches
+    patch may be taken that is by at most this share less alike than the best; which, `seed` says. lines_crossed: as
+    `rectified.measure_lines_crossed` gives it; each line between a place and what is copied to it counts as if all of
+    the patch differed by its contrast. device: where patches
     are compared. The same arguments give the same bytes on a processor; a GPU adds votes up in any order.
     """
-    made = copy_patches(image, hole, source, variety=variety, seed=seed, device=device)
+    made = copy_patches(image, hole, source, lines_crossed=lines_crossed, variety=variety, seed=seed, device=device)
     if made is None:
         return fill_telea(image, hole), None
     return blend_copies(*made, hole), made[1]
@@ -72,6 +80,7 @@ def copy_patches(
     hole: Mask,
     source: Mask,
     *,
+    lines_crossed: NDArray[np.float32] | None = None,
     variety: float = 0.0,
     seed: int = 0,
     device: torch.device | str = "cpu",
@@ -82,25 +91,28 @@ def copy_patches(
     """
     generator = torch.Generator(device).manual_seed(seed)
     known = source & ~hole
+    akin = known if lines_crossed is None else known & _find_akin(lines_crossed, hole)
     levels = 1
     while (
-        np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(known, _level_size(hole, levels)).sum() > MIN_SOURCE
+        np.sqrt(hole.sum()) / 2**levels > PATCH and _average_cells(akin, _shrink_size(hole, levels)).sum() > MIN_SOURCE
     ):
         levels += 1
-    shown = np.where(hole[..., None], 0, image), GRADIENT_WEIGHT * _mean_gradients(image, ~hole)
+    shown = np.where(hole[..., None], 0, image), GRADIENT_WEIGHT * _measure_gradients(image, ~hole)
     made: tuple[Picture, Origins] | None = None
     for level in reversed(range(levels)):
-        size = _level_size(hole, level)
+        size = _shrink_size(hole, level)
         clear = _average_cells(~hole, size)
         means = np.concatenate([_average_cells(part, size) for part in shown], -1)
         picture = torch.from_numpy(means / np.maximum(clear, 1e-6)[..., None]).to(device)
         patches = Patches(
             torch.from_numpy(clear < FULL_COVER).to(device),
             torch.from_numpy(_average_cells(known, size) > FULL_COVER).to(device),
+            None if lines_crossed is None else torch.from_numpy(_average_cells(lines_crossed, size)).to(device),
         )
         if len(patches.examples) == 0:
             continue
-        everywhere = made is None or level >= levels - EXHAUSTIVE_LEVELS
+        cheap = level > 0 or len(patches.examples) * len(patches.touching) < MAX_PAIRS
+        everywhere = made is None or (cheap and level >= levels - EXHAUSTIVE_LEVELS)
         if made is None:
             picture, origins = patches.peel(picture, variety, generator), patches.themselves
         else:
@@ -143,8 +155,9 @@ def blend_copies(picture: NDArray[np.float32], origins: NDArray[np.int64], hole:
 class Patches:
     """The patches of a picture: those to imitate, and those that touch the hole. Pixels are numbered row by row."""
 
-    def __init__(self, hole: Region, source: Region) -> None:
+    def __init__(self, hole: Region, source: Region, lines_crossed: Float[Tensor, "h w 2"] | None = None) -> None:
         self.hole, self.width = hole, hole.shape[1]
+        self.lines_crossed = None if lines_crossed is None else lines_crossed.reshape(-1, 2)
         beyond = F.pad((~source)[None, None].float(), (PATCH // 2,) * 4, value=1.0)
         self.usable = F.max_pool2d(beyond, PATCH, 1).flatten() == 0
         usable = torch.nonzero(self.usable)[:, 0]
@@ -176,9 +189,10 @@ class Patches:
             weight = _unfold(valid[..., None].float())[at].repeat(1, channels)
         squares = examples.square()
         found, costs = [], []
-        for q, w in zip((asked * weight).split(1024), weight.split(1024), strict=True):
+        for part, q, w in zip(at.split(1024), (asked * weight).split(1024), weight.split(1024), strict=True):
             own = squares.sum(1)[None] if valid is None else w @ squares.T
             apart = own - 2 * q @ examples.T + q.square().sum(1, keepdim=True)
+            apart = apart + PATCH**2 * self._cross(part[:, None], self.examples[None])
             if variety:
                 chance = torch.rand(apart.shape, generator=generator, device=apart.device)
                 apart = apart.clamp(min=0) * (1 + variety * chance)
@@ -208,12 +222,19 @@ class Patches:
                 inside = (from_y >= 0) & (from_y < height) & (from_x >= 0) & (from_x < width)
                 tried = from_y.clamp(0, height - 1) * width + from_x.clamp(0, width - 1)
                 cost = (flat[tried] - asked).square().mean(1)
+                cost = cost + self._cross(self.touching, tried) / picture.shape[-1]
                 better = inside & self.usable[tried] & (cost < least)
                 best, least = torch.where(better, tried, best), torch.where(better, cost, least)
         # Where no neighbour leads to an example, every example is asked.
         if (lost := torch.nonzero(least.isinf())[:, 0]).numel():
             best[lost], least[lost] = self.find_nearest(picture, self.touching[lost])
         return best, least
+
+    def _cross(self, at: Tensor, examples: Tensor) -> Tensor | float:
+        """Squared contrast of the lines between places and what is copied to them."""
+        if self.lines_crossed is None:
+            return 0.0
+        return (self.lines_crossed[at] - self.lines_crossed[examples]).square().sum(-1)
 
     def peel(self, picture: Picture, variety: float, generator: torch.Generator) -> Picture:
         """The hole filled from its border inwards, each pixel by the middle of a most alike example."""
@@ -289,11 +310,16 @@ FULL_COVER = 0.999
 """Share of a coarse pixel from which on it counts as covered; sums of float32 miss 1."""
 
 
+def _find_akin(lines_crossed: NDArray[np.float32], hole: Mask) -> Mask:
+    """What lies between the same lines as most of the hole, [h, w]."""
+    return np.abs(lines_crossed - np.median(lines_crossed[hole], 0)).max(-1) < SAME_SIDE
+
+
 def _draw_steps(count: int, generator: torch.Generator) -> Int64[Tensor, "2 n"]:
     return torch.randint(-1, 2, (2, count), generator=generator, device=generator.device)
 
 
-def _mean_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
+def _measure_gradients(image: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
     """How much the known pixels around each pixel differ from the next one down and to the right, [h, w, 2]."""
     grey = image @ np.array([0.299, 0.587, 0.114], np.float32)
     means = []
@@ -318,13 +344,13 @@ def _grow(region: Region, side: int) -> Region:
     return F.max_pool2d(region[None, None].float(), side, 1, side // 2)[0, 0] > 0
 
 
-def _level_size(mask: Mask, level: int) -> tuple[int, int]:
+def _shrink_size(mask: Mask, level: int) -> tuple[int, int]:
     return max(1, mask.shape[0] >> level), max(1, mask.shape[1] >> level)
 
 
 def _count_cells(mask: Mask, level: int) -> float:
     """How many cells of a coarser level the mask covers."""
-    return float(_average_cells(mask, _level_size(mask, level)).sum())
+    return float(_average_cells(mask, _shrink_size(mask, level)).sum())
 
 
 def _average_cells(values: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float32]:

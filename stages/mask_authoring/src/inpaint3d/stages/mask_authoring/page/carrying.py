@@ -126,7 +126,7 @@ class Carrier(threading.Thread):
         scene = self._subject.scene
         views, depth_views = [scene.views[i] for i in chosen], [scene.depth_views[i] for i in chosen]
         some = replace(scene, views=views, depth_views=depth_views)
-        with self._context(number) as ctx:
+        with self._open_context(number) as ctx:
             authored = author(request.mask, some, request.dilate, self._config, ctx)
             ctx.progress(len(chosen), len(chosen))
         sizes = [self._subject.picture_size(i) for i in chosen]
@@ -146,7 +146,7 @@ class Carrier(threading.Thread):
         return measure_agreement(scene.depth_views, authored.masks, self._config.depth_tolerance)
 
     @contextlib.contextmanager
-    def _context(self, number: int) -> Generator[Context]:
+    def _open_context(self, number: int) -> Generator[Context]:
         """What a request is carried in: its progress is told, and it ends where a newer one has come."""
 
         def emit(event: str, **values: Any) -> None:

@@ -86,10 +86,10 @@ def _keep_small(view: DepthView) -> DepthView:
     """The view at the size that masks are carried at, its picture decoded once."""
     width, height = fit_size(view.camera.width, view.camera.height, CARRYING_SIDE)
     small = view.resized(width, height) if width < view.camera.width else view
-    return replace(small, image=_once(small.image))
+    return replace(small, image=_keep_decoded(small.image))
 
 
-def _once(image: Callable[[], Image]) -> Callable[[], Image]:
+def _keep_decoded(image: Callable[[], Image]) -> Callable[[], Image]:
     kept: list[Image] = []
 
     def read() -> Image:
