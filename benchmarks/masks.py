@@ -1,13 +1,13 @@
 """Objects pointed at with a few clicks against masks that are known: `make bench-masks [STATUE=FOLDER]`.
 
-    python -m benchmarks.masks [--statue FOLDER] [--work DIR]
+    python -m benchmarks.masks [--statue FOLDER] [--scenes SCENE ...] [--clicks N ...] [--work DIR]
 
 Of each capture the pipeline is run up to nerf-pretraining (below --work; what is done is found there). Then the object
 is pointed at on one view, and the masks that mask-authoring finds in all others are compared with the known ones (IoU),
-without the growth that a request adds. Clicks are chosen without looking: the innermost points of two, of three equally
-high slices of the known mask, which is what a person would aim at; every fifth view is
-pointed at in turn, so that nothing hangs on a lucky click. The demo's own request is a row of its own. CPU
-seconds are those of authoring, for all views together.
+without the growth that a request adds. Clicks are chosen without looking: the innermost points of so many equally high
+slices of the known mask, which is what a person would aim at. Every fifth view is pointed at in turn, so that nothing
+hangs on a lucky click; the demo's own request is a row of its own. CPU seconds are those of authoring, for all views
+together. Rows that are not asked for stay as they were.
 
 statue: a folder with images/, masks/ and cameras. The demo capture's masks are its renderer's. Writes
 `benchmarks/results/masks.json`, its table beside it, and contact sheets below --work to be looked at.
@@ -179,18 +179,22 @@ def write_table(results: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--statue", type=Path, help="29 photos of a statue, with masks and cameras")
+    parser.add_argument("--scenes", nargs="*", choices=("demo", "statue"), default=("demo", "statue"))
+    parser.add_argument("--clicks", nargs="*", type=int, default=(1, 2, 3))
     parser.add_argument("--work", type=Path, default=WORK)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     results: dict[str, Any] = json.loads(RESULTS.read_text()) if RESULTS.exists() else {"rows": {}}
     results |= {"code": commit(), "processor": this_machine().processor}
     rows: dict[str, list[dict[str, Any]]] = results["rows"]
-    demo, (request, _) = prepare_demo(options.work), load_document(DEMO / "mask.yaml", MaskRequest)
-    rows["demo, its mask.yaml"] = [measure_own(demo, request, options.work / "sheets" / "demo.png")]
-    rows |= {f"demo, {n}": point_in_turn(demo, n) for n in (2, 3)}
-    if options.statue is not None:
+    if "demo" in options.scenes:
+        demo, (request, _) = prepare_demo(options.work), load_document(DEMO / "mask.yaml", MaskRequest)
+        rows["demo, its mask.yaml"] = [measure_own(demo, request, options.work / "sheets" / "demo.png")]
+        rows |= {f"demo, {n}": point_in_turn(demo, n) for n in options.clicks}
+    if "statue" in options.scenes and options.statue is not None:
         statue = prepare_statue(options.statue, options.work)
-        rows |= {f"statue, {n}": point_in_turn(statue, n) for n in (1, 2, 3)}
+        rows |= {f"statue, {n}": point_in_turn(statue, n) for n in options.clicks}
+    results["rows"] = dict(sorted(rows.items()))
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     table = write_table(results)
     RESULTS.with_suffix(".md").write_text(table)

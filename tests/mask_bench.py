@@ -30,7 +30,7 @@ from tests.conftest import REPOSITORY
 
 STAGE = load_stage(REPOSITORY / "stages" / "mask_authoring" / "stage.yaml")
 IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
-FAST = Config(segment_size=120, voxels=48)
+FAST = Config(segment_size=120, voxels=54)
 
 
 @dataclass(frozen=True)

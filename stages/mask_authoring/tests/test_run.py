@@ -90,7 +90,8 @@ def test_truth_masks_of_an_object_come_from_its_hull(bench):
     cameras = arc_cameras(5, 120, 90, arc_deg=70)
     truth = put_truth(bench.store, cameras)
     request = {"kind": "object", "view": "view_002", "points": [middle_of_ball(bench.scene, 2)]}
-    metadata, root = bench.author(request, dilate=0.015, **{"posed-truth": truth})
+    finer = FAST.model_copy(update={"voxels": 60})
+    metadata, root = bench.author(request, config=finer, dilate=0.015, **{"posed-truth": truth})
     found = [read_mask(root / v.mask) for v in metadata.truth_views]
     exact = [volume_mask(c, sphere((0, 0, 0), BALL_RADIUS)) for c in cameras]
     assert recall(found, exact).min() > 0.97

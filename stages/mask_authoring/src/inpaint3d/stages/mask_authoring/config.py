@@ -35,7 +35,7 @@ class Config(Closed):
         default=2, description="GrabCut iterations along the outline, at the pictures' own size"
     )
     voxels: Annotated[int, Field(ge=8, le=256)] = Field(
-        default=80, description="cells along the longest side of the voxel hull"
+        default=72, description="cells along the longest side of the voxel hull"
     )
     hole: Literal["object", "unseen"] = Field(
         default="object",

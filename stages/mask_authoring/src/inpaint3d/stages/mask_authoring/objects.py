@@ -1,6 +1,6 @@
 """An object pointed at on one view or more (M2), found in every view."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts.masks import ObjectPrompts, ObjectRequest
 from inpaint3d.scene.morphology import remove_specks
+from inpaint3d.scene.planes import Plane
 from inpaint3d.stages.mask_authoring.authored import Authored
 from inpaint3d.stages.mask_authoring.carry import Carrying, carry
 from inpaint3d.stages.mask_authoring.cloud import Cloud, splat
@@ -19,7 +20,7 @@ from inpaint3d.stages.mask_authoring.hull import carve
 from inpaint3d.stages.mask_authoring.requests import find_view, object_prompts
 from inpaint3d.stages.mask_authoring.scene import Scene
 from inpaint3d.stages.mask_authoring.segment import segment
-from inpaint3d.stages.mask_authoring.surroundings import find_surroundings
+from inpaint3d.stages.mask_authoring.surroundings import find_planes, find_surroundings
 from inpaint3d.stages.mask_authoring.views import DepthView
 
 Bools = NDArray[np.bool_]
@@ -31,30 +32,35 @@ SPECKS = 0.02  # parts of an object's mask below this share of its largest are e
 def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: Config, ctx: Context) -> Authored:
     """Cut out where it was pointed at, carried to the other views with depth, held together by a voxel hull."""
     small = scene.small(config.segment_size)
+    planes = find_planes(scene.points, small)
     found = {
-        find_view(scene.views, prompts.view): segment_prompted(prompts, scene, config, ctx)
+        find_view(scene.views, prompts.view): segment_prompted(prompts, scene, config, ctx, planes)
         for prompts in request.prompts
     }
-    around = find_surroundings(scene.points, small, found, config.depth_tolerance)
+    around = find_surroundings(planes, scene.points, small, found, config.depth_tolerance)
     how = Carrying(config.depth_tolerance, config.margin, config.refine_rounds, ctx.seed, around)
     carried = carry(small, found, how, refine=config.refine, progress=ctx.progress)
     hull = carve(small, carried, voxels=config.voxels, agreement=config.agreement, tolerance=config.depth_tolerance)
-    masks = [
-        finish(remove_specks(outline(view, mask, hull, config, ctx.seed), SPECKS), dilate)
+    outlined = [
+        remove_specks(outline(view, mask, hull, config, ctx.seed), SPECKS)
         for view, mask in zip(scene.depth_views, carried, strict=True)
     ]
-    truth_masks = [remove_specks(splat(v, hull, config.depth_tolerance), SPECKS) for v in scene.truth]
     return Authored(
         origin="object",
         method=describe(request, refine=config.refine),
-        masks=masks,
-        truth_masks=[finish(m, dilate) for m in truth_masks],
+        masks=[finish(m, dilate) for m in outlined],
+        truth_masks=[
+            finish(remove_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
+        ],
     )
 
 
-def segment_prompted(prompts: ObjectPrompts, scene: Scene, config: Config, ctx: Context) -> Bools:
+def segment_prompted(
+    prompts: ObjectPrompts, scene: Scene, config: Config, ctx: Context, planes: Sequence[Plane] = ()
+) -> Bools:
     """The object on the view that was pointed at -> bool [h, w] at the segmentation's size.
 
+    planes: of the scene; those that are not pointed at, and reach far beyond what is, are no part of the object.
     Raises ConfigurationError where nothing is found, or all of the view.
     """
     source = find_view(scene.views, prompts.view)
@@ -62,7 +68,7 @@ def segment_prompted(prompts: ObjectPrompts, scene: Scene, config: Config, ctx: 
     camera = scene.views[source].camera
     given = object_prompts(prompts, camera)
     scaled = given.scaled(np.array([small.camera.width / camera.width, small.camera.height / camera.height]))
-    found = segment(small, scaled, config.grabcut_rounds, ctx.seed)
+    found = segment(small, scaled, config.grabcut_rounds, ctx.seed, planes)
     if not found.any():
         raise ConfigurationError(
             f"mask request: nothing was found at the points in view {prompts.view!r}; give more points on the object, "

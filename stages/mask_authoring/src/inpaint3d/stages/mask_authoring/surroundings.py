@@ -26,26 +26,43 @@ class Surroundings:
     def hold(self, points: Floats, view: DepthView) -> Bools:
         """Which points [n, 3] that a view sees lie on one of the planes."""
         held = np.zeros(len(points), bool)
-        reach = REACH * view.camera.project(points)[1]
         for plane in self.planes:
-            held |= plane.distance(points) < reach
+            held |= lie_on(plane, points, view)
         return held
 
 
+def lie_on(plane: Plane, points: Floats, view: DepthView) -> Bools:
+    """Which points [n, 3] that a view sees lie on a plane."""
+    return plane.distance(points) < REACH * view.camera.project(points)[1]
+
+
+def find_planes(points: NDArray[np.float32], views: Sequence[DepthView]) -> list[Plane]:
+    """The planes of a scene's sparse points [n, 3]; none where the field has no surface."""
+    pixel = measure_pixel(views)
+    return fit_planes(points, PLANE_PIXELS * pixel) if pixel and len(points) else []
+
+
 def find_surroundings(
-    points: NDArray[np.float32], views: Sequence[DepthView], found: Mapping[int, Bools], tolerance: float
+    planes: Sequence[Plane],
+    points: NDArray[np.float32],
+    views: Sequence[DepthView],
+    found: Mapping[int, Bools],
+    tolerance: float,
 ) -> Surroundings:
     """The planes of sparse points [n, 3] that the object's masks in the views it was pointed at leave alone."""
-    pixel = float(np.median([np.median(v.depth[np.isfinite(v.depth)]) / v.camera.fx for v in views if _sees(v)] or [0]))
-    if not pixel or not len(points):
-        return Surroundings()
     kept: list[Plane] = []
-    for plane in fit_planes(points, PLANE_PIXELS * pixel):
-        on_it = points[plane.distance(points.astype(np.float64)) < PLANE_PIXELS * pixel].astype(np.float64)
-        inside, outside = votes(on_it, [views[i] for i in found], list(found.values()), tolerance)
+    for plane in planes:
+        on_it = points[plane.distance(points.astype(np.float64)) < PLANE_PIXELS * measure_pixel(views)]
+        inside, outside = votes(on_it.astype(np.float64), [views[i] for i in found], list(found.values()), tolerance)
         if (inside > 0).sum() < OWN * max(1, ((inside + outside) > 0).sum()):
             kept.append(plane)
     return Surroundings(kept)
+
+
+def measure_pixel(views: Sequence[DepthView]) -> float:
+    """How wide a pixel is at the middle of the depths, scene units; 0 where the field has no surface."""
+    pixels = [float(np.median(v.depth[np.isfinite(v.depth)])) / v.camera.fx for v in views if _sees(v)]
+    return float(np.median(pixels)) if pixels else 0.0
 
 
 def _sees(view: DepthView) -> bool:
