@@ -6,6 +6,7 @@ import pytest
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.planes import Plane
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.drafts import Draft, span_unsure, start_draft
 from inpaint3d.stages.view_completion.gaps import fill_gaps
@@ -15,7 +16,7 @@ from inpaint3d.stages.view_completion.rectified import (
     measure_lines_crossed,
     resample,
 )
-from inpaint3d.stages.view_completion.surfaces import FlatScene, Plane
+from inpaint3d.stages.view_completion.surfaces import FlatScene
 
 SIZE = (160, 120)
 FLOOR = Plane(np.array([0.0, 0.0, 1.0]), 0.0)

@@ -18,7 +18,12 @@ RunsPath = Annotated[
 ]
 Name = Annotated[str | None, typer.Option(help="name of the run; default: the capture's folder name")]
 Capture = Annotated[Path, typer.Argument(help="a folder of photos, a data set, or a video file")]
-Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: masks that came with the capture")]
+Mask = Annotated[
+    Path | None,
+    typer.Option(
+        help="mask request (YAML); default: the run folder's mask.yaml, else masks that came with the capture"
+    ),
+]
 Preset = Annotated[
     str | None, typer.Option(help="draft, standard, creative, high, paper or spin-nerf; default: the pipeline's")
 ]

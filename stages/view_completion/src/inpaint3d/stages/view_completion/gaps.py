@@ -9,6 +9,7 @@ from inpaint3d.contracts.models.artifacts.completion import SOURCE_CODES
 from inpaint3d.diffusion.fill import fill_telea
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.morphology import grow, label_parts
+from inpaint3d.scene.planes import Plane
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.drafts import KNOWN_REACH, MIN_GAP, Draft
@@ -20,7 +21,6 @@ from inpaint3d.stages.view_completion.rectified import (
     measure_lines_crossed,
     resample,
 )
-from inpaint3d.stages.view_completion.surfaces import Plane
 
 REACH = 1.8
 """Patches are copied from surfaces this much further from the middle of a gap than its own edge is, in space."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask
-from inpaint3d.stages.view_completion.surfaces import Plane
+from inpaint3d.scene.planes import Plane
 
 Array = NDArray[np.float64]
 
