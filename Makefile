@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
+.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-masks bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -28,7 +28,24 @@ install: .venv/.installed ## the locked environment in .venv
 demo: .venv/.installed ## take an object out of the demo capture; results in runs/demo
 	.venv/bin/inpaint3d run examples/demo/capture --mask examples/demo/mask.yaml --name demo
 
-test: .venv/.installed ## all tests: fast ones first, the real small pipeline last
+# The mask page's bundle is committed; its sources, and what the tests drive it with, need npm.
+PAGE := stages/mask_authoring/page
+BUNDLE := stages/mask_authoring/src/inpaint3d/stages/mask_authoring/page/bundle
+$(PAGE)/node_modules/.installed: $(PAGE)/package-lock.json
+	npm ci --prefix $(PAGE) --ignore-scripts --no-fund --no-audit
+	@touch $@
+
+page: $(PAGE)/node_modules/.installed ## the mask page's bundle anew from its sources, by npm and Vite
+	npm run --prefix $(PAGE) build
+	cd $(PAGE) && git ls-files --cached --others --exclude-standard | LC_ALL=C sort | xargs sha256sum > $(abspath $(BUNDLE))/SHA256SUMS
+
+browser: ## what the tests of the mask page need, as far as it can be had: Debian's chromium, npm's packages
+	-@command -v chromium > /dev/null || if [ "$$(id -u)" = 0 ] && command -v apt-get > /dev/null; then \
+	    apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium; \
+	    else echo "no chromium: install it, or the mask page is not tested in a browser"; fi
+	-@command -v npm > /dev/null && $(MAKE) --no-print-directory $(PAGE)/node_modules/.installed || echo "no npm: the mask page's bundle is not built anew"
+
+test: .venv/.installed browser ## all tests: fast ones first, the real small pipeline last
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m "not slow and not kubernetes"
 	$(TEST_ENV) .venv/bin/python -m pytest -q -m slow
 
@@ -110,6 +127,9 @@ bench-prior-variants: .venv/.installed ## which small prior learns most in an ho
 bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal size [CORPUS=FOLDER]
 	.venv/bin/python -m benchmarks.unet $(if $(CORPUS),--corpus $(CORPUS)) $(BENCH_OPTIONS)
 
+bench-masks: .venv/.installed ## objects pointed at with a few clicks against known masks [STATUE=FOLDER]
+	.venv/bin/python -m benchmarks.masks $(if $(STATUE),--statue $(STATUE)) $(BENCH_OPTIONS)
+
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
 
@@ -133,7 +153,8 @@ pack-gpu: .venv/.installed ## the same as a folder for a machine without a netwo
 	.venv/bin/python -m benchmarks.gpu.pack $(PHOTOS) $(if $(PRIOR),--prior $(PRIOR)) $(if $(SCENE),--scene $(SCENE)) $(BENCH_OPTIONS)
 
 fuzz-captures: .venv/.installed ## captures damaged at random: read or refused, nothing else [COUNT=20000]
-	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000)
+	$(TEST_ENV) .venv/bin/python -W error -m tests.fuzz_captures --count $(or $(COUNT),20000) \
+	    --out benchmarks/results/captures_fuzz.json
 
 clean: ## remove the environment and results (the store too)
 	rm -rf .venv .cache .inpaint3d runs gpu-pack

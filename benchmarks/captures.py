@@ -1,13 +1,14 @@
 """Captures as people should not have them: what is said of each, where, and after how many CPU seconds.
 
-python -m benchmarks.captures [--scene NAME=FOLDER ...] [--study cameras] [--study photos] [--study field]
+python -m benchmarks.captures [--scene NAME=FOLDER ...] [--every 2] [--study cameras] [--study photos] ...
 
-Scenes are folders with cameras (nerfstudio, LLFF); the demo capture with the renderer's cameras is always one. Pictures
-are reduced to 480 pixels. Features and matches are found once for all scrambles of a scene that leave its pictures
-alone; their time is in each row. Studies: `cameras` scrambles those that came with the scene; `photos` scrambles the
-pictures, whose cameras are to be estimated; `field` fits one under scrambled cameras with the gate of pose-estimation
-open, to see what is said then. Rows are kept in benchmarks/results/captures.json, and as a table in captures.md, until
-they are measured again.
+Scenes are folders with cameras (nerfstudio, LLFF); without one, the demo capture with the renderer's cameras. Studies:
+`cameras` scrambles those that came with the scene, `mixed` puts photos of another scene among its own, with and without
+cameras, `degenerate` makes captures without depth of its photos, `photos` estimates the cameras of all its photos and
+compares their rotations with those that came, `field` fits one under scrambled cameras with the gate of pose-estimation
+open, to see what is said then. But for `photos`, pictures are reduced to 480 pixels, and every so many are taken.
+Features and matches are found once for scrambles that leave pictures alone; their time is in each row. Rows are kept
+in benchmarks/results/captures.json, and as a table in captures.md, until they are measured again.
 """
 
 import argparse
@@ -15,7 +16,7 @@ import json
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from io import StringIO
 from pathlib import Path
@@ -24,6 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 from benchmarks.provenance import REPOSITORY, commit
+from benchmarks.scrambles import SCRAMBLED_CAMERAS, Frames, degenerate_photos, mix_scenes
 
 from inpaint3d.contracts.errors import BadInputError, Inpaint3dError
 from inpaint3d.contracts.kit.context import Context
@@ -31,21 +33,17 @@ from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.kit.shim import execute
 from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, KnownCamera, PosedCapture, Source
 from inpaint3d.contracts.store import Artifact, FolderStore, Record
-from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.image_io import read_image, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.features import silence_pycolmap
-from inpaint3d.stages.pose_estimation.solve import solve
+from inpaint3d.stages.pose_estimation.solve import Solved, solve
 
 SIDE = 480
 RESULTS = REPOSITORY / "benchmarks" / "results" / "captures.json"
-STAGES = "inpaint3d.stages."
+STAGES, BY = "inpaint3d.stages.", "pose-estimation"
 OPEN_GATE = {"min_agreement": 0, "min_view_agreement": 0, "largest_error_px": 1000, "min_points": 1}
 QUICK_FIELD = {"steps": 400, "view_side": 64}  # preset draft's
-
-Frames = list[CapturedFrame]
-Scramble = Callable[[Frames], Frames]
 
 
 @dataclass(frozen=True)
@@ -61,131 +59,29 @@ class Row:
     passed: bool
 
 
-# Cameras, scrambled: poses are world_from_cam.
-
-
-def _with_poses(frames: Frames, change: Callable[[int, np.ndarray], np.ndarray]) -> Frames:
-    poses = [np.array(f.camera.world_from_cam) if f.camera else np.eye(4)[:3] for f in frames]
-    moved = [as_pose(change(i, pose)) for i, pose in enumerate(poses)]
-    return [
-        f.model_copy(update={"camera": f.camera.model_copy(update={"world_from_cam": pose})}) if f.camera else f
-        for f, pose in zip(frames, moved, strict=True)
-    ]
-
-
-def _reorder(order: Callable[[int], list[int]]) -> Scramble:
-    def scramble(frames: Frames) -> Frames:
-        chosen = order(len(frames))
-        return [f.model_copy(update={"camera": frames[i].camera}) for f, i in zip(frames, chosen, strict=True)]
-
-    return scramble
-
-
-def _scale_focal(factor: float) -> Scramble:
-    def scramble(frames: Frames) -> Frames:
-        changed: Frames = []
-        for f in frames:
-            camera = f.camera
-            if camera is not None:
-                count = 1 if camera.model.startswith("SIMPLE") or camera.model == "RADIAL" else 2
-                params = (*(p * factor for p in camera.params[:count]), *camera.params[count:])
-                camera = camera.model_copy(update={"params": params})
-            changed.append(f.model_copy(update={"camera": camera}))
-        return changed
-
-    return scramble
-
-
-def _turn(pose: np.ndarray, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    return np.concatenate([left @ pose[:, :3] @ right, left @ pose[:, 3:]], 1)
-
-
-MIRROR, OPENGL = np.diag([-1.0, 1, 1]), np.diag([1.0, -1, -1])
-QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-SCRAMBLED_CAMERAS: dict[str, Scramble] = {
-    "cameras in the order of names as text": _reorder(lambda n: sorted(range(n), key=lambda i: f"f_{i}")),
-    "each the next one's camera": _reorder(lambda n: [(i + 1) % n for i in range(n)]),
-    "cameras shuffled": _reorder(lambda n: np.random.default_rng(0).permutation(n).tolist()),
-    "mirrored poses": lambda frames: _with_poses(frames, lambda _, p: _turn(p, MIRROR, MIRROR)),
-    "OpenGL's axes": lambda frames: _with_poses(frames, lambda _, p: _turn(p, np.eye(3), OPENGL)),
-    "focal length 30 % too long": _scale_focal(1.3),
-    "focal length 30 % too short": _scale_focal(0.7),
-    "one camera turned by 90 degrees": lambda frames: _with_poses(
-        frames, lambda i, p: _turn(p, np.eye(3), QUARTER) if i == len(frames) // 2 else p
-    ),
-    "one camera far away": lambda frames: _with_poses(frames, lambda i, p: _far(p) if i == len(frames) // 2 else p),
-}
-
-
-def _far(pose: np.ndarray) -> np.ndarray:
-    """Backwards by 100 times its distance from the origin."""
-    behind = 100 * max(1.0, float(np.linalg.norm(pose[:, 3])))
-    return np.concatenate([pose[:, :3], pose[:, 3:] - behind * pose[:, 2:3]], 1)
-
-
-# Pictures, scrambled.
-
-
-def _pictures(artifact: Artifact[Capture]) -> list[np.ndarray]:
-    return [read_image(artifact.path(f.path)) for f in artifact.metadata.frames]
-
-
-def scrambled_photos(
-    pictures: list[np.ndarray], other: list[np.ndarray]
-) -> Iterator[tuple[str, bool, list[np.ndarray]]]:
-    """(what, whether it should pass, pictures) of captures without cameras."""
-    height, width = pictures[0].shape[:2]
-    fitted = [cv2.resize(p, (width, height), interpolation=cv2.INTER_AREA) for p in other]
-    yield "the photos", True, pictures
-    yield "half the photos of another scene", False, [*pictures[: len(fitted)], *fitted]
-    yield "two photos", False, pictures[:2]
-    yield "pure rotation", False, [_warped(pictures[0], _rotation(width, height, a)) for a in np.linspace(-12, 12, 9)]
-    yield "the camera at rest, an object moving", False, [_pasted(pictures[0], i) for i in range(9)]
-    yield "no texture", False, [cv2.GaussianBlur(p, (0, 0), width / 8) for p in pictures[:12]]
-    yield "black frames", False, [np.zeros_like(p) if i % 2 else p for i, p in enumerate(pictures[:16])]
-
-
-def _rotation(width: int, height: int, degrees: float) -> np.ndarray:
-    k = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
-    turn, _ = cv2.Rodrigues(np.deg2rad([0.3 * degrees, degrees, 0]))
-    return k @ turn @ np.linalg.inv(k)
-
-
-def _warped(picture: np.ndarray, homography: np.ndarray) -> np.ndarray:
-    height, width = picture.shape[:2]
-    turned = cv2.warpPerspective(picture, homography, (width, height), borderMode=cv2.BORDER_REFLECT)
-    y, x = height // 5, width // 5
-    return np.ascontiguousarray(turned[y : height - y, x : width - x])
-
-
-def _pasted(picture: np.ndarray, step: int) -> np.ndarray:
-    height, width = picture.shape[:2]
-    shown = picture.copy()
-    h, w = height // 4, width // 4
-    left = width // 10 + step * w // 4
-    shown[height // 2 : height // 2 + h, left : left + w] = picture[:h, :w][:, ::-1]
-    noise = np.random.default_rng(step).normal(0, 0.01, shown.shape)
-    return np.clip(shown + noise, 0, 1).astype(np.float32)
-
-
-# Running.
-
-
 def take_in(store: FolderStore, folder: Path, name: str) -> Artifact[Capture]:
-    """The folder as capture-ingest takes it, reduced to `SIDE` pixels, cameras with it."""
+    """The folder as capture-ingest takes it."""
     place = store.private_folder()
     shutil.copytree(folder, place / "raw")
     source = store.put(place, "source", Source(name=name, kind="folder"))
     record = execute(f"{STAGES}capture_ingest", store, Invocation(inputs={"source": source}, threads=1), StringIO())
-    whole = store.open(record.outputs["capture"], Capture)
-    frames = list(whole.metadata.frames)
+    return store.open(record.outputs["capture"], Capture)
+
+
+def reduce(store: FolderStore, whole: Artifact[Capture], every: int) -> Artifact[Capture]:
+    """Every so many frames, reduced to `SIDE` pixels, cameras with them."""
+    frames = list(whole.metadata.frames)[::every]
     factor = min(1.0, SIDE / max(frames[0].width, frames[0].height))
     pictures = [
         cv2.resize(p, (round(p.shape[1] * factor), round(p.shape[0] * factor)), interpolation=cv2.INTER_AREA)
-        for p in _pictures(whole)
+        for p in (read_image(whole.path(f.path)) for f in frames)
     ]
     cameras = [f.camera and f.camera.model_copy(update={"params": _scaled(f.camera.params, factor)}) for f in frames]
     return put(store, pictures, cameras, ordered=whole.metadata.ordered)
+
+
+def _pictures(artifact: Artifact[Capture]) -> list[np.ndarray]:
+    return [read_image(artifact.path(f.path)) for f in artifact.metadata.frames]
 
 
 def _scaled(params: tuple[float, ...], factor: float) -> tuple[float, ...]:
@@ -213,8 +109,10 @@ def with_frames(store: FolderStore, artifact: Artifact[Capture], frames: Frames)
     return store.open(store.put(place, "capture", metadata), Capture)
 
 
-def judge(artifact: Artifact[Capture], database: Path | None, work: Path) -> tuple[str, bool, float]:
-    """What pose-estimation says, whether it passes, CPU seconds; with a database, features and matches are there."""
+def judge(
+    artifact: Artifact[Capture], work: Path, *, database: Path | None = None, config: Config | None = None
+) -> tuple[str, Solved | None, float]:
+    """What pose-estimation says, what it found, CPU seconds; with a database, features and matches are there."""
     work.mkdir(parents=True)
     if database is not None:
         shutil.copyfile(database, work / "capture.db")
@@ -227,35 +125,74 @@ def judge(artifact: Artifact[Capture], database: Path | None, work: Path) -> tup
     began = time.process_time()
     ctx = Context(seed=0, device="cpu", threads=1, work=work, emit=emit)
     try:
-        solved = solve(artifact, Config(), ctx)
+        solved = solve(artifact, config or Config(), ctx)
     except BadInputError as refusal:
-        return " / ".join([*logged, str(refusal)]), False, time.process_time() - began
+        return " / ".join([*logged, str(refusal)]), None, time.process_time() - began
     r = solved.registration
     said = (
         f"{r.registered} of {r.given} views, {r.agreement:.1%} of matches agree, {r.mean_reprojection_error_px:.2f} px"
     )
-    return " / ".join([*logged, said]), True, time.process_time() - began
+    return " / ".join([*logged, said]), solved, time.process_time() - began
+
+
+def rotation_errors(solved: Solved, frames: Sequence[CapturedFrame]) -> np.ndarray:
+    """Degrees [registered] between the rotations found and those that came, after the turn that fits them best."""
+    number = {solved.links[f.name]: i for i, f in enumerate(frames)}
+    came = [np.array(c.world_from_cam)[:, :3] for f in frames if (c := f.camera)]
+    pairs = [
+        (pose[:, :3], came[number[n]]) for n, pose in zip(solved.model.names, solved.model.world_from_cam, strict=True)
+    ]
+    u, _, vt = np.linalg.svd(sum(theirs @ ours.T for ours, theirs in pairs))
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    vectors = [cv2.Rodrigues(theirs.T @ turn @ ours)[0] for ours, theirs in pairs]
+    return np.rad2deg([float(np.linalg.norm(v)) for v in vectors])
 
 
 def study_cameras(store: FolderStore, scene: str, artifact: Artifact[Capture], work: Path) -> Iterator[Row]:
-    said, passed, shared = judge(artifact, None, work / "right")
-    yield Row(scene, "the cameras as they are", True, "pose-estimation", said, round(shared, 1), passed)
+    said, passed, shared = judge(artifact, work / "right")
+    yield Row(scene, "the cameras as they are", True, BY, said, round(shared, 1), passed is not None)
     database = work / "right" / "capture.db"
-    _, _, solving = judge(artifact, database, work / "again")
+    _, _, solving = judge(artifact, work / "again", database=database)
     for name, scramble in SCRAMBLED_CAMERAS.items():
         scrambled = with_frames(store, artifact, scramble(list(artifact.metadata.frames)))
-        said, passed, own = judge(scrambled, database, work / name.replace("/", " "))
-        yield Row(scene, name, False, "pose-estimation", said, round(shared - solving + own, 1), passed)
+        said, passed, own = judge(scrambled, work / name.replace("/", " "), database=database)
+        yield Row(scene, name, False, BY, said, round(shared - solving + own, 1), passed is not None)
 
 
-def study_photos(store: FolderStore, scene: str, artifact: Artifact[Capture], work: Path) -> Iterator[Row]:
-    for name, good, pictures in scrambled_photos(_pictures(artifact), list(synthetic_scene(8, 320, 240).images)):
+def study_mixed(store: FolderStore, scene: str, artifact: Artifact[Capture], work: Path) -> Iterator[Row]:
+    mixed = mix_scenes(_pictures(artifact), other_scene(scene))
+    cameras = [f.camera for f in artifact.metadata.frames]
+    for name, known in (("cameras known", cameras), ("without cameras", [None] * len(cameras))):
+        taken = put(store, mixed, known, ordered=artifact.metadata.ordered)
+        said, passed, cpu = judge(taken, work / f"mixed {name}")
+        what = f"half the photos of another scene, {name}"
+        yield Row(scene, what, False, BY, said, round(cpu, 1), passed is not None)
+
+
+def other_scene(scene: str) -> list[np.ndarray]:
+    """Photos of the demo capture, or for that of the synthetic room."""
+    if scene == "demo":
+        return list(synthetic_scene(8, 320, 240).images)
+    return [read_image(p) for p in sorted((REPOSITORY / "examples/demo/capture/images").glob("*.jpg"))[::3]]
+
+
+def study_degenerate(store: FolderStore, scene: str, artifact: Artifact[Capture], work: Path) -> Iterator[Row]:
+    for name, pictures in degenerate_photos(_pictures(artifact)):
         taken = put(store, pictures, [None] * len(pictures), ordered=artifact.metadata.ordered)
-        said, passed, cpu = judge(taken, None, work / f"photos {name}")
-        yield Row(scene, f"{name}, without cameras", good, "pose-estimation", said, round(cpu, 1), passed)
+        said, passed, cpu = judge(taken, work / f"photos {name}")
+        yield Row(scene, f"{name}, without cameras", False, BY, said, round(cpu, 1), passed is not None)
 
 
-def study_field(store: FolderStore, scene: str, artifact: Artifact[Capture]) -> Iterator[Row]:
+def study_photos(_: FolderStore, scene: str, whole: Artifact[Capture], work: Path) -> Iterator[Row]:
+    """Every photo at its own size, as a person gives them."""
+    said, solved, cpu = judge(whole, work / "photos alone", config=Config(cameras="estimate"))
+    if solved is not None:
+        off = rotation_errors(solved, whole.metadata.frames)
+        said += f", rotations off by a median of {np.median(off):.3f} degrees, at most {off.max():.2f}"
+    yield Row(scene, "the photos, without cameras", True, BY, said, round(cpu, 1), solved is not None)
+
+
+def study_field(store: FolderStore, scene: str, artifact: Artifact[Capture], _: Path) -> Iterator[Row]:
     """What nerf-pretraining says of scrambled cameras that nobody held to their pictures."""
     chosen = {"the cameras as they are": list, **{n: SCRAMBLED_CAMERAS[n] for n in (
         "cameras in the order of names as text", "mirrored poses", "focal length 30 % too long")}}  # fmt: skip
@@ -322,11 +259,10 @@ def write_rows(rows: Sequence[Row]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=FOLDER")
-    parser.add_argument("--study", action="append", choices=["cameras", "photos", "field"], help="default: cameras")
+    parser.add_argument("--every", type=int, default=1, help="take every so many frames of a scene")
+    parser.add_argument("--study", action="append", choices=STUDIES, help="default: cameras")
     given = parser.parse_args()
     silence_pycolmap()
-    rows: list[Row] = json.loads(RESULTS.read_text())["rows"] if RESULTS.is_file() else []
-    rows = [Row(**r) if isinstance(r, dict) else r for r in rows]
     with tempfile.TemporaryDirectory() as place:
         work = Path(place)
         store = FolderStore(work / "store")
@@ -334,22 +270,26 @@ def main() -> None:
             "demo": write_demo(work / "demo-capture")
         }
         for scene, folder in folders.items():
-            artifact = take_in(store, folder, scene)
-            chosen = given.study or ["cameras"]
-            studies: list[Iterator[Row]] = []
-            if "cameras" in chosen:
-                studies.append(study_cameras(store, scene, artifact, work / scene))
-            if "photos" in chosen:
-                studies.append(study_photos(store, scene, artifact, work / scene))
-            if "field" in chosen:
-                studies.append(study_field(store, scene, artifact))
-            for study in studies:
-                for row in study:
-                    rows = [r for r in rows if (r.scene, r.capture) != (row.scene, row.capture)] + [row]
-                    print(row, flush=True)
-                    write_rows(rows)
-    wrong = [r for r in rows if r.passed != r.good]
-    print(f"{len(rows)} captures, {len(wrong)} judged wrongly")
+            whole = take_in(store, folder, scene)
+            small = reduce(store, whole, given.every)
+            for study in given.study or ["cameras"]:
+                keep(STUDIES[study](store, scene, whole if study == "photos" else small, work / scene))
+
+
+def keep(found: Iterable[Row]) -> None:
+    """Each row as soon as it is there, in the place of an earlier one."""
+    for row in found:
+        rows = [Row(**r) for r in json.loads(RESULTS.read_text())["rows"]] if RESULTS.is_file() else []
+        kept = [r for r in rows if (r.scene, r.capture) != (row.scene, row.capture)]
+        write_rows([*kept, row])
+        wrong = sum(r.passed != r.good for r in [*kept, row])
+        print(f"{row}\n{len(kept) + 1} captures, {wrong} judged wrongly", flush=True)
+
+
+STUDIES = {
+    "cameras": study_cameras, "mixed": study_mixed, "degenerate": study_degenerate, "photos": study_photos,
+    "field": study_field,
+}  # fmt: skip
 
 
 if __name__ == "__main__":

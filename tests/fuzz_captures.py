@@ -1,6 +1,6 @@
 """Captures damaged at random: each is read, or refused with exit code 3; nothing else happens.
 
-Usage: python -m tests.fuzz_captures --count 20000 [--first SEED]
+Usage: python -m tests.fuzz_captures --count 20000 [--first SEED] [--out FILE.json]
 """
 
 import argparse
@@ -35,6 +35,7 @@ from tests.data_sets import (
     write_llff,
     write_nerfstudio,
 )
+from tests.faults.results import conclude
 
 SECONDS = 20  # a case takes hundredths of one
 NAMES = [f"images/a_{i}.png" for i in range(3)]
@@ -267,10 +268,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=20000)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="a JSON file for what was counted")
     options = parser.parse_args()
-    outcomes = fuzz(options.count, options.first)
-    for name in KINDS:
-        print(f"{name:20} read {outcomes[name, 'read']:6} refused {outcomes[name, 'refused']:6}")  # noqa: T201
+    outcomes, faults = Counter[tuple[str, str]](), list[str]()
+    try:
+        outcomes = fuzz(options.count, options.first)
+    except FuzzError as error:
+        faults.append(str(error))
+    inputs = {name: {outcome: outcomes[name, outcome] for outcome in ("read", "refused")} for name in KINDS}
+    figures = {"first seed": options.first, "mutations": outcomes.total(), "inputs": inputs}
+    conclude("damaged captures", figures, faults, options.out)
 
 
 if __name__ == "__main__":

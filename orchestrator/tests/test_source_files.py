@@ -95,3 +95,11 @@ def test_what_is_no_file_is_passed_over(tmp_path):
     root = put(tmp_path, "a.jpg")
     os.mkfifo(root / "pipe.jpg")
     assert listed(root) == ["a.jpg"]
+
+
+@pytest.mark.parametrize("name", ["a\nb.jpg", "a\tb.jpg", "walk/\x1b[2J.jpg"])
+def test_names_that_would_break_lists_and_terminals_are_refused(tmp_path, name):
+    root = put(tmp_path, "a.jpg", name)
+    with pytest.raises(BadInputError, match="holds a control character; rename the file") as refusal:
+        list_source_files(root)
+    assert str(refusal.value).isprintable()

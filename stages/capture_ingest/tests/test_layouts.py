@@ -7,7 +7,8 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.image_io import read_image, write_mask, write_png
 from inpaint3d.stages.capture_ingest.carry import carry
 from inpaint3d.stages.capture_ingest.config import Config
-from inpaint3d.stages.capture_ingest.layouts import detect, find
+from inpaint3d.stages.capture_ingest.layouts import describe_folder, detect, find
+from tests.clips import write_clip
 from tests.data_sets import (
     SCENE,
     nerfstudio_frames,
@@ -39,7 +40,7 @@ def test_smaller_copies_without_labels_are_not_spin_nerf(root):
     for folder in ("images", "images_4"):
         write_pictures(root / folder, NAMES)
     write_llff(root, range(4))
-    assert detect(root) == "llff"
+    assert detect(root) == ["llff"]
     write_colmap_text(root / "sparse/0", NAMES)
     found = taken(root)
     assert (found.layout, len(found.frames), found.truth) == ("colmap", 4, [])
@@ -50,7 +51,7 @@ def test_smaller_copies_without_labels_are_not_spin_nerf(root):
 def test_labels_without_poses_are_not_spin_nerf(root):
     write_pictures(root / "images", NAMES)
     write_pictures(root / "images_4/label", NAMES)
-    assert detect(root) == "photos"
+    assert detect(root) == ["photos"]
 
 
 @pytest.mark.parametrize(
@@ -101,10 +102,32 @@ def test_photos_win_over_clips_beside_them(root, clips, folder):
     assert f"{len(clips)} videos lie beside the pictures and are left out ({clips[0]})" in say(found)
 
 
+@pytest.mark.parametrize("clip", ["images/IMG_3.MP4", "clips/day 1/a.mov"])
+def test_clips_below_are_not_passed_over_in_silence(root, clip):
+    (root / clip).parent.mkdir(parents=True)
+    (root / clip).write_bytes(b"clip")
+    assert f"({clip} is a video below it: give the file itself)" in describe_folder(root)
+    write_pictures(root / "images", NAMES)
+    assert "1 videos lie beside the pictures and are left out" in say(taken(root))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize(
+    "text", ["ffconcat version 1.0\nfile {clip}\n", "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nfile://{clip}\n"]
+)
+def test_a_list_of_other_clips_is_no_clip(root, capfd, suffix, text):
+    """FFmpeg knows such lists by what is in them."""
+    write_clip(root.parent / "private.mp4", [np.full((24, 32, 3), i, np.uint8) for i in (0, 90, 180)])
+    (root / f"a{suffix}").write_text(text.format(clip=root.parent / "private.mp4"))
+    with pytest.raises(BadInputError, match="has 0 frames that can be decoded"):
+        taken(root)
+    capfd.readouterr()  # what FFmpeg says of it
+
+
 def test_a_clip_with_its_poster_is_a_video(root):
     write_pictures(root, NAMES[:1])
     (root / "walk.mp4").write_bytes(b"clip")
-    assert detect(root) == "video"
+    assert detect(root) == ["video"]
 
 
 @pytest.mark.parametrize("binary", [True, False])
@@ -117,7 +140,7 @@ def test_the_largest_of_several_models_is_taken_and_said(root, binary):
     found = taken(root)
     assert len(found.frames) == 3
     assert "sparse/1 is taken, the model with most pictures (3); not sparse/0 with 2, sparse/10 with 2" in say(found)
-    assert "1 pictures of images/ are not in the model and left out" in say(found)
+    assert "1 pictures are neither frames nor masks and left out: 1 of images/" in say(found)
 
 
 def test_the_folder_of_pictures_may_be_a_link(root):
@@ -209,4 +232,59 @@ def test_pictures_beside_sub_folders_are_counted_aloud(root):
     write_png(root / "._a_1.png", SCENE.images[0])
     found = taken(root)
     assert len(found.frames) == 4
-    assert "1 pictures in sub-folders are left out" in say(found)
+    assert "1 pictures are neither frames nor masks and left out: 1 of thumbnails/" in say(found)
+
+
+@pytest.mark.parametrize("layout", ["photos", "nerfstudio", "colmap", "llff"])
+def test_folders_in_upper_case_are_those_folders(root, layout):
+    """Masks/ was passed over without a word."""
+    write_pictures(root / "images", NAMES)
+    write_mask(root / "Masks/a_2.png", np.eye(24, 32))
+    write = {
+        "nerfstudio": lambda: write_nerfstudio(root, nerfstudio_frames([f"images/{name}" for name in NAMES])),
+        "colmap": lambda: write_colmap_text(root / "sparse/0", NAMES),
+        "llff": lambda: write_llff(root, range(4)),
+    }
+    write.get(layout, lambda: (root / "images").rename(root / "IMAGES"))()
+    found = taken(root)
+    assert found.layout == layout
+    assert [f.mask is not None for f in found.frames] == [False, True, False, False]
+
+
+@pytest.mark.parametrize("layout", ["nerfstudio", "colmap", "photos"])
+def test_pictures_that_are_not_taken_are_counted_by_folder(root, layout):
+    write_pictures(root / "images", NAMES)
+    write_pictures(root, ["images_2/b_1.png", "images_2/b_2.png", "depth/c.png", "cover.png"])
+    if layout == "nerfstudio":
+        write_nerfstudio(root, nerfstudio_frames([f"images/{name}" for name in NAMES[1:]]))
+    if layout == "colmap":
+        write_colmap_text(root / "sparse/0", NAMES[1:])
+    unlisted = [] if layout == "photos" else ["1 of images/"]
+    count, places = 4 + len(unlisted), ["1 of the top", "1 of depth/", "2 of images_2/", *unlisted]
+    note = next(note for note in taken(root).notes if "left out" in note)
+    assert note.startswith(f"{count} pictures are neither frames nor masks and left out: ")
+    assert sorted(note.rpartition(": ")[2].split(", ")) == sorted(places)
+
+
+@pytest.mark.parametrize("half", ["cameras.txt", "images.txt", "cameras.bin"])
+@pytest.mark.parametrize("folder", ["sparse", "sparse/0"])
+def test_half_a_model_is_refused_not_passed_over(root, half, folder):
+    write_pictures(root / "images", NAMES)
+    write_colmap_text(root / folder, NAMES)
+    write_colmap_binary(root / folder, NAMES)
+    for file in (root / folder).iterdir():
+        if file.name != half:
+            file.unlink()
+    with pytest.raises(BadInputError, match=f"{folder}/{half} is half of a model"):
+        taken(root)
+
+
+def test_marks_of_other_layouts_are_said(root):
+    write_pictures(root / "images", NAMES)
+    write_nerfstudio(root, nerfstudio_frames([f"images/{name}" for name in NAMES]))
+    write_colmap_text(root / "sparse/0", NAMES)
+    write_llff(root, range(4))
+    found = taken(root)
+    assert found.layout == "nerfstudio"
+    assert "it has the marks of colmap, llff, too; capture-ingest.layout=colmap takes it so" in say(found)
+    assert taken(root, layout="colmap").layout == "colmap"

@@ -4,7 +4,6 @@ import json
 import struct
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -15,7 +14,6 @@ from inpaint3d.stages.capture_ingest.carry import carry, fit_mask, read_exif
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 from inpaint3d.stages.capture_ingest.layouts import detect, find
-from inpaint3d.stages.capture_ingest.video import choose_frames
 
 SCENE = synthetic_scene(views=4, width=32, height=24, points=20)
 
@@ -42,7 +40,7 @@ def test_photos_with_masks_and_truth(tmp_path):
     pictures(tmp_path / "truth", ["t1", "t2"], SCENE.empty_images[:2])
     write_mask(tmp_path / "masks" / "view_001.png", SCENE.object_masks[1])
     found = found_in(tmp_path, tmp_path)
-    assert detect(tmp_path) == "photos"
+    assert detect(tmp_path) == ["photos"]
     assert [f.name for f in found.frames] == SCENE.names
     assert [f.mask is not None for f in found.frames] == [False, True, False, False]
     assert [f.name for f in found.truth] == ["t1", "t2"]
@@ -84,7 +82,7 @@ def llff_rows(cameras) -> np.ndarray:
 def test_llff(tmp_path):
     pictures(tmp_path / "images")
     np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras))
-    assert detect(tmp_path) == "llff"
+    assert detect(tmp_path) == ["llff"]
     assert_cameras(found_in(tmp_path, tmp_path))
     np.save(tmp_path / "poses_bounds.npy", llff_rows(SCENE.cameras)[:3])
     with pytest.raises(BadInputError, match="3 cameras for 4 pictures"):
@@ -118,7 +116,7 @@ def test_realestate10k(tmp_path):
         rows.append(" ".join(map(repr, [1000 * i, *map(float, [*shares, 0, 0, *camera.cam_from_world.ravel()])])))
     pictures(root / "clip", [str(1000 * i) for i in range(4)])
     (root / "clip.txt").write_text("\n".join(["https://video/x", *rows]))
-    assert detect(root) == "realestate10k"
+    assert detect(root) == ["realestate10k"]
     found = found_in(root, tmp_path, realestate10k_frames=3, realestate10k_rows=18)
     assert [f.name for f in found.frames] == ["0", "1000", "2000"]
     assert "first 3 frames, 1 more" in found.notes[1]
@@ -181,46 +179,6 @@ def test_colmap(tmp_path, binary):
     assert found.layout == "colmap"
     assert_cameras(found)
     assert found.frames[0].camera.params == (f, 16, 12, 0.05)
-
-
-def test_video_takes_the_sharpest_of_each_stretch(tmp_path):
-    rng = np.random.default_rng(0)
-    sharp = (rng.random((48, 64, 3)) * 255).astype(np.uint8)
-    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
-    for i in range(12):
-        writer.write(sharp if i % 4 == 2 else cv2.GaussianBlur(sharp, (0, 0), 3))
-    writer.release()
-    found = found_in(tmp_path, tmp_path, video_frames=3)
-    assert [f.name for f in found.frames] == ["frame_000002", "frame_000006", "frame_000010"]
-    assert read_image(found.frames[0].image).shape == (48, 64, 3)
-
-
-def test_frames_of_a_video_are_spread_by_motion_not_by_time(tmp_path):
-    """The camera rests for two thirds of the clip, then walks: what rests is taken once."""
-    rng = np.random.default_rng(0)
-    wide = cv2.GaussianBlur((rng.random((48, 300, 3)) * 255).astype(np.uint8), (0, 0), 2)
-    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30, (64, 48))
-    for i in range(60):
-        at = 4 * max(0, i - 40)
-        writer.write(wide[:, at : at + 64])
-    writer.release()
-    found = found_in(tmp_path, tmp_path, video_frames=6)
-    numbers = [int(f.name[6:]) for f in found.frames]
-    assert len(numbers) == 6
-    assert sum(n <= 40 for n in numbers) <= 1
-    assert np.diff([n for n in numbers if n > 40]).max() <= 7
-    assert "39 change nothing" in found.notes[-1] or "40 change nothing" in found.notes[-1]
-
-
-def test_frames_of_a_still_video_are_spread_by_time():
-    chosen = choose_frames(np.array([1.0, 2, 1, 1, 3, 1]), np.zeros(6), 2)
-    assert chosen == [1, 4]
-
-
-def test_a_cut_is_no_motion():
-    change = np.full(41, 0.05)
-    change[20] = 1.0
-    assert len([i for i in choose_frames(np.ones(41), change, 10) if i < 20]) in (4, 5)
 
 
 def test_mask_of_half_the_size_is_resampled_and_another_aspect_refused(tmp_path):

@@ -24,7 +24,6 @@ from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
-    STORE,
     AcceptDoubtful,
     AsJson,
     Capture,
@@ -38,7 +37,6 @@ from inpaint3d.orchestrator.options import (
     Request,
     Scene,
     SceneRequest,
-    StorePath,
     Wait,
     with_options,
 )
@@ -50,6 +48,7 @@ from inpaint3d.orchestrator.run import Scheduler
 from inpaint3d.orchestrator.run_folder import check_capture, own_folder
 from inpaint3d.orchestrator.runners.container import ContainerRunner, find_engine
 from inpaint3d.orchestrator.runners.process import ProcessRunner, Runner
+from inpaint3d.orchestrator.saved_mask import command_to_edit, path_of, use_saved
 from inpaint3d.orchestrator.tables import printable, show_nodes, show_scores
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
@@ -77,7 +76,7 @@ def _fail(error: Inpaint3dError) -> None:
     sys.exit(error.exit_code)
 
 
-def _images(environment: Environment) -> Mapping[str, Image] | None:
+def _load_images(environment: Environment) -> Mapping[str, Image] | None:
     """The images whose digests stand for the stages' code, where stages run in them."""
     return None if environment.runner == "process" else load_document(environment.images, ImagesSpec)[0].spec
 
@@ -99,16 +98,19 @@ def run(
     accept_doubtful: AcceptDoubtful = False,
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
-    configured, store = ConfiguredRequest(request, selection), open_store(places.store)
-    images = _images(environment)
+    scenes = list_scenes(capture, scene, name)
+    folders = [places.runs_dir / name_run(path, scene_name) for path, scene_name in scenes]
+    requests = [ConfiguredRequest(use_saved(request, folder), selection) for folder in folders]
+    store, images = open_store(places.store), _load_images(environment)
     runner = ProcessRunner() if images is None else ContainerRunner(find_engine(engine), images)
     codes: list[int] = []
-    for path, scene_name in list_scenes(capture, scene, name):
-        folder = places.runs_dir / name_run(path, scene_name)
+    for (path, scene_name), folder, configured in zip(scenes, folders, requests, strict=True):
         with own_folder(folder, wait=wait), store.shared():
             planner = configured.planner(store, path, scene_name, images)
             check_capture(planner, replace=replace)
             record, code = _carry_out(planner, selection, folder, log_format, runner, accept_doubtful=accept_doubtful)
+        if record.status == "waiting":
+            _say(f"{record.name}: `{command_to_edit(record.name, places)}` opens a page for it; then run this again")
         codes.append(code)
         if record.status == "stopped":
             break  # whoever stopped this scene meant the others too
@@ -162,6 +164,8 @@ def _carry_out(
     accept_doubtful: bool = False,
 ) -> tuple[RunRecord, int]:
     """Run, leave results in the folder, say how it ended; the record and the exit code."""
+    if planner.mask is not None and planner.mask == path_of(folder):
+        _say(f"{planner.name}: what is to go is what {planner.mask} says")
     if left_out := planner.configured.left_out:
         said = ", ".join(f"{node} ({reason})" for node, reason in left_out.items())
         _say(f"{planner.name}: left out: {said}")
@@ -206,13 +210,13 @@ def plan(
     request: SceneRequest,
     selection: Selection,
     environment: Environment,
+    places: Places,
     name: Name = None,
-    store: StorePath = STORE,
     as_json: AsJson = False,
 ) -> None:
     """Say what `run` would do and why, stage by stage, without doing it."""
-    configured = ConfiguredRequest(request, selection)
-    planner = configured.planner(open_store(store), capture, name, _images(environment))
+    configured = ConfiguredRequest(use_saved(request, places.runs_dir / name_run(capture, name)), selection)
+    planner = configured.planner(open_store(places.store), capture, name, _load_images(environment))
     show_nodes(preview(planner, selection), as_json=as_json)
 
 
@@ -229,10 +233,11 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 def add_other_commands() -> typer.Typer:
     """The program with the commands of all modules."""
-    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, paint_cli
+    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli
 
     app.add_typer(cluster_cli.emit_app, name="emit")
     app.add_typer(dev_cli.dev_app, name="dev")
+    app.add_typer(masks_cli.masks_app, name="masks")
     app.add_typer(paint_cli.paint_app, name="paint")
     cluster_cli.add_to(app)
     history_cli.add_to(app)

@@ -69,7 +69,7 @@ def submit(cluster: ClusterSpec, documents: list[Document]) -> dict[str, str]:
     there = {w["metadata"]["name"]: w for w in _list_named(cluster, [w["metadata"]["name"] for w in workflows])}
     for workflow in workflows:
         known = there.get(workflow["metadata"]["name"])
-        if known is not None and _asked(known) != _asked(workflow):
+        if known is not None and _find_request(known) != _find_request(workflow):
             raise ConfigurationError(
                 f"the cluster has another Workflow {workflow['metadata']['name']}; emit under another --name, "
                 f"or `kubectl --namespace {cluster.spec.namespace} delete workflow {workflow['metadata']['name']}`"
@@ -80,7 +80,7 @@ def submit(cluster: ClusterSpec, documents: list[Document]) -> dict[str, str]:
     return {w["metadata"]["name"]: _say_phase(there.get(w["metadata"]["name"])) for w in workflows}
 
 
-def _asked(workflow: Document) -> str | None:
+def _find_request(workflow: Document) -> str | None:
     annotations: dict[str, str] = workflow["metadata"].get("annotations") or {}
     return annotations.get(ASKED)
 
@@ -126,7 +126,7 @@ def rerun(
     }
     chosen = submission.model_copy(update={"scenes": picked, **waits})
     for scene in chosen.scenes:
-        row = next(r for r in _rows(store, configured, chosen, scene) if r.node == node)
+        row = next(r for r in _list_rows(store, configured, chosen, scene) if r.node == node)
         if row.key is not None:
             store.forget(row.key)
     return submit(cluster, prepare(store, pipeline, cluster, chosen, suffix=f"-{secrets.token_hex(3)}"))
@@ -192,7 +192,7 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
     records: list[RunRecord] = []
     configured = configure_submission(pipeline, submission)
     for scene in submission.scenes:
-        rows = _rows(store, configured, submission, scene)
+        rows = _list_rows(store, configured, submission, scene)
         run = RunRecord(
             id=History(store).new_id(scene.name),
             name=scene.name,
@@ -210,7 +210,7 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
     return records
 
 
-def _rows(store: Store, configured: ConfiguredPipeline, submission: Submission, scene: Scene) -> list[NodeRun]:
+def _list_rows(store: Store, configured: ConfiguredPipeline, submission: Submission, scene: Scene) -> list[NodeRun]:
     planner = Planner(
         configured=configured,
         store=store,
@@ -239,14 +239,14 @@ def logs(cluster: ClusterSpec, name: str, node: str | None) -> Iterator[str]:
     pods: list[Document] = json.loads(kubectl(cluster, "get", "pods", "-l", selector, "-o", "json"))["items"]
     for pod in pods:
         title = pod["metadata"]["name"]
-        if (reason := _why_silent(pod)) is not None:
+        if (reason := _explain_silence(pod)) is not None:
             yield f"[{title}] has printed nothing yet: {reason}\n"
             continue
         for line in kubectl(cluster, "logs", title, "-c", MAIN).splitlines():
             yield f"[{title}] {line}\n"
 
 
-def _why_silent(pod: Document) -> str | None:
+def _explain_silence(pod: Document) -> str | None:
     """Why a pod has no log yet, or None."""
     status: Document = pod.get("status") or {}
     statuses: list[Document] = status.get("containerStatuses") or []

@@ -104,10 +104,10 @@ def argo(
 @emit_app.command(name="check")
 def check_file(manifest: Path, pipeline: PipelinePath = None) -> None:
     """Say what is wrong with manifests, as far as that can be known without a cluster."""
-    _conclude(check(_documents(manifest), Pipeline(find_pipeline(pipeline))))
+    _conclude(check(_parse_documents(manifest), Pipeline(find_pipeline(pipeline))))
 
 
-def _documents(manifest: Path) -> list[Any]:
+def _parse_documents(manifest: Path) -> list[Any]:
     try:
         return parse_yaml_documents(read_document(manifest))
     except UntrustedError as error:
@@ -123,7 +123,7 @@ def _conclude(findings: list[str]) -> None:
 
 def submit(manifest: Path, cluster: Cluster = CLUSTER, pipeline: PipelinePath = None) -> None:
     """Give what `emit argo` wrote to the cluster that kubectl is pointed at; what the store has is not run again."""
-    documents = _documents(manifest)
+    documents = _parse_documents(manifest)
     _conclude(check(documents, Pipeline(find_pipeline(pipeline))))
     _say_each(clusters.submit(_cluster(cluster), documents))
 
@@ -141,7 +141,9 @@ def status(
         workflows = clusters.list_workflows(_cluster(cluster), name)
         now = datetime.datetime.now(datetime.UTC)
         rows = [row for workflow in workflows for row in list_rows(workflow, now)]
-        print_table(("scene", "stage", "phase", "seconds", "tries", "message"), map(_cells, rows), wrapped=("message",))
+        print_table(
+            ("scene", "stage", "phase", "seconds", "tries", "message"), map(_describe, rows), wrapped=("message",)
+        )
         for workflow in workflows:
             sys.stdout.write(printable(f"{workflow['metadata']['name']}: {clusters.phase_of(workflow)}\n"))
         if not watch or all(map(is_over, workflows)):
@@ -154,7 +156,7 @@ def status(
         raise typer.Exit(WaitingError.exit_code)
 
 
-def _cells(row: Row) -> list[str]:
+def _describe(row: Row) -> list[str]:
     seconds = "" if row.seconds is None else f"{row.seconds:.0f}"
     return [row.scene, row.stage, row.phase, seconds, str(row.tries), row.message]
 

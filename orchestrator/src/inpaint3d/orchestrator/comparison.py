@@ -38,22 +38,22 @@ def compare(pipeline: Pipeline, store: Store, one: RunRecord, other_store: Store
         elif different := [n for n in ("parameters", "inputs", "seed") if node.components[n] != twin.components[n]]:
             yield Row(node.node, "", "was asked something else", ", ".join(different))
         else:
-            yield from _outputs(pipeline, store, node, other_store, twin)
+            yield from _list_outputs(pipeline, store, node, other_store, twin)
 
 
-def _outputs(pipeline: Pipeline, store: Store, node: NodeRun, other_store: Store, twin: NodeRun) -> Iterator[Row]:
+def _list_outputs(pipeline: Pipeline, store: Store, node: NodeRun, other_store: Store, twin: NodeRun) -> Iterator[Row]:
     promise = pipeline.stages[node.node].spec.determinism
     for port in sorted({*node.outputs, *twin.outputs}):
         digest, twins = node.outputs.get(port), twin.outputs.get(port)
         if digest == twins:
             yield Row(node.node, port, "equal", (digest or "")[7:19])
         elif promise == "exact" or digest is None or twins is None:
-            yield Row(node.node, port, "differs", _difference(store, digest, other_store, twins))
+            yield Row(node.node, port, "differs", _describe_difference(store, digest, other_store, twins))
         else:
             yield Row(node.node, port, "may differ", promise.tolerance)
 
 
-def _difference(store: Store, digest: Digest | None, other_store: Store, twin: Digest | None) -> str:
+def _describe_difference(store: Store, digest: Digest | None, other_store: Store, twin: Digest | None) -> str:
     """The files that are not the same, or that it is the metadata."""
     if digest is None or twin is None:
         return "one of the runs did not write it"

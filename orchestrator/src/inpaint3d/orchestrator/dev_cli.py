@@ -45,10 +45,10 @@ def new_stage(
 ) -> None:
     """Write a stage that works, its tests and its artifact, and wire it in pipeline.yaml."""
     path = find_pipeline(pipeline)
-    names = _template_names(Pipeline(path), name, reads, writes or name, description)
+    names = _fill_in_names(Pipeline(path), name, reads, writes or name, description)
     folder, artifact = (
         path.parent / "stages" / names["folder"],
-        _artifacts(path.parent) / f"{names['schema_module']}.py",
+        _find_artifacts(path.parent) / f"{names['schema_module']}.py",
     )
     for place in (folder, artifact):
         if place.exists():
@@ -60,7 +60,7 @@ def new_stage(
     sys.stdout.write(NEXT.format(**shown))
 
 
-def _template_names(pipeline: Pipeline, name: str, reads: str, writes: str, description: str) -> dict[str, str]:
+def _fill_in_names(pipeline: Pipeline, name: str, reads: str, writes: str, description: str) -> dict[str, str]:
     """What the template's placeholders stand for. ConfigurationError for names that cannot be used."""
     for given in (name, writes):
         if not given.replace("-", "").isalnum() or not given[0].isalpha() or given != given.lower():
@@ -81,7 +81,7 @@ def _template_names(pipeline: Pipeline, name: str, reads: str, writes: str, desc
     }  # fmt: skip
 
 
-def _artifacts(repository: Path) -> Path:
+def _find_artifacts(repository: Path) -> Path:
     """The folder of the artifacts' models in a checkout."""
     found = sorted(repository.glob("lib/contracts/src/**/artifacts/__init__.py"))
     if not found:
@@ -122,8 +122,8 @@ def register_schema(registry: Path, module: str, model: str, schema: str) -> Non
 def wire(pipeline: Path, name: str, folder: str, port: str, reads: str) -> None:
     """Add a node at the end of a pipeline's stages and want its result, leaving every other line as it is."""
     text = pipeline.read_text()
-    spec = _value(cast(yaml.Node, yaml.compose(text, yaml.SafeLoader)), "spec")
-    stages = cast(yaml.Node, _value(spec, "stages"))
+    spec = _find_value(cast(yaml.Node, yaml.compose(text, yaml.SafeLoader)), "spec")
+    stages = cast(yaml.Node, _find_value(spec, "stages"))
     lines = text.splitlines(keepends=True)
     end = stages.end_mark.line
     while end and (not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#")):
@@ -131,7 +131,7 @@ def wire(pipeline: Path, name: str, folder: str, port: str, reads: str) -> None:
     indent = " " * (stages.start_mark.column)
     node = [f"- name: {name}", f"  stage: stages/{folder}", "  inputs:", f"    {port}: {reads}"]
     insertions = {end: "\n" + "".join(f"{indent}{line}\n" for line in node)}
-    wants = _value(spec, "wants")
+    wants = _find_value(spec, "wants")
     if isinstance(wants, yaml.SequenceNode) and wants.value:
         last = cast(yaml.Node, wants.value[-1])
         if wants.flow_style:
@@ -144,7 +144,7 @@ def wire(pipeline: Path, name: str, folder: str, port: str, reads: str) -> None:
     pipeline.write_text("".join(lines))
 
 
-def _value(node: yaml.Node | None, key: str) -> yaml.Node | None:
+def _find_value(node: yaml.Node | None, key: str) -> yaml.Node | None:
     """What a mapping has under a key; None where it has none."""
     pairs = cast(list[tuple[yaml.ScalarNode, yaml.Node]], node.value if node else [])
     return next((value for name, value in pairs if name.value == key), None)

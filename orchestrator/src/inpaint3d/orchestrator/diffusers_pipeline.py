@@ -53,11 +53,11 @@ def list_pipeline_files(folder: Path) -> list[Path]:
     return [
         path
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.suffix in SUFFIXES and not _superfluous(path.relative_to(folder))
+        if path.is_file() and path.suffix in SUFFIXES and not _is_superfluous(path.relative_to(folder))
     ]
 
 
-def _superfluous(path: Path) -> bool:
+def _is_superfluous(path: Path) -> bool:
     loose_weights = len(path.parts) == 1 and path.name != INDEX
     variant = path.suffix == ".safetensors" and "." in path.stem
     return loose_weights or variant or path.parts[0] in LEFT_OUT or any(part.startswith(".") for part in path.parts)

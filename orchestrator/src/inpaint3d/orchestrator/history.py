@@ -21,7 +21,7 @@ class History:
 
     def new_id(self, name: str) -> str:
         """An id for the next run of a name; it comes after all that there are, whatever the clock says."""
-        last = max(map(_sequence_of, self._store.names(f"runs/{name}")), default=0)
+        last = max(map(_parse_sequence, self._store.names(f"runs/{name}")), default=0)
         return f"{last + 1:06d}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(2)}"
 
     def save(self, record: RunRecord) -> None:
@@ -36,7 +36,7 @@ class History:
 
     def documents(self, name: str) -> Iterator[tuple[str, bytes]]:
         """Path and bytes of every record of a name, the newest first, whoever wrote it."""
-        for file in sorted(self._store.names(f"runs/{name}"), key=lambda f: (_sequence_of(f), f), reverse=True):
+        for file in sorted(self._store.names(f"runs/{name}"), key=lambda f: (_parse_sequence(f), f), reverse=True):
             path = f"runs/{name}/{file}"
             yield path, self._store.read(path) or b""
         if stray := self._store.read(f"runs/{name}"):  # a file where the folder should be
@@ -85,7 +85,7 @@ def is_killed(record: RunRecord) -> bool:
     return record.status == "running" and owner is not None and owner.is_gone
 
 
-def _sequence_of(file: str) -> int:
+def _parse_sequence(file: str) -> int:
     """The number that a record's file begins with; 0 for what has none."""
     number, dash, _ = file.partition("-")
     return int(number) if dash and number.isdecimal() else 0
@@ -94,14 +94,14 @@ def _sequence_of(file: str) -> int:
 def this_machine() -> Machine:
     """What a bare time was measured on."""
     return Machine(
-        processor=_processor(),
+        processor=_name_processor(),
         cores=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
         memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         python=platform.python_version(),
     )
 
 
-def _processor() -> str:
+def _name_processor() -> str:
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

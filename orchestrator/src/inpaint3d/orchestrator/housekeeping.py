@@ -74,12 +74,12 @@ def collect(store: Store, *, keep: int, dry_run: bool) -> tuple[int, int]:
 
 
 def _collect(store: Store, keep: int, *, dry_run: bool) -> tuple[int, int]:
-    keys, objects = _needed(store, keep)
+    keys, objects = _find_needed(store, keep)
     gone = [d for d in store.objects() if d not in objects]
     records = list(store.records())
     stale = [r.key for r in records if r.key not in keys]
     litter = store.list_litter()
-    freed = sum(map(store.size, gone)) + sum(map(_size, litter))
+    freed = sum(map(store.size, gone)) + sum(map(_measure_size, litter))
     if not dry_run:
         store.sweep_tmp()
         for key in stale:  # keys first: a kill in between leaves no key without its objects
@@ -145,7 +145,7 @@ def read_needs(data: bytes) -> RunNeeds:
     )
 
 
-def _needed(store: Store, keep: int) -> tuple[set[Digest], set[Digest]]:
+def _find_needed(store: Store, keep: int) -> tuple[set[Digest], set[Digest]]:
     """Keys and artifacts that are to be kept; ArtifactError for a record that cannot be read."""
     history = History(store)
     keys: set[Digest] = set()
@@ -185,7 +185,7 @@ def _list_run_documents(store: Store) -> Iterator[tuple[str, bytes]]:
         yield from history.documents(name)
 
 
-def _size(path: Path) -> int:
+def _measure_size(path: Path) -> int:
     files = path.rglob("*") if path.is_dir() and not path.is_symlink() else [path]
     return sum(p.lstat().st_size for p in files if p.is_file())
 
@@ -202,17 +202,19 @@ def trace_lineage(store: Store, record: RunRecord, stage: str) -> list[str]:
     if start is None:
         raise ConfigurationError(f"the result of {stage} is gone from the store; run {record.name} again")
     externals = {d: name for name, d in record.externals.items()}
-    return _branch(start, by_output, externals, 0)
+    return _list_branch(start, by_output, externals, 0)
 
 
-def _branch(record: Record, by_output: dict[Digest, Record], externals: dict[Digest, str], depth: int) -> list[str]:
+def _list_branch(
+    record: Record, by_output: dict[Digest, Record], externals: dict[Digest, str], depth: int
+) -> list[str]:
     outputs = ", ".join(f"{port} {digest[7:19]}" for port, digest in record.outputs.items())
     lines = [f"{'  ' * depth}{record.stage} -> {outputs}"]
     inputs: dict[str, Any] = record.components["inputs"]
     for port, digests in inputs.items():
         for digest in [digests] if isinstance(digests, str) else digests:
             if digest in by_output:
-                lines += _branch(by_output[digest], by_output, externals, depth + 1)
+                lines += _list_branch(by_output[digest], by_output, externals, depth + 1)
             else:
                 lines.append(f"{'  ' * (depth + 1)}{port}: {externals.get(digest, 'from outside')} {digest[7:19]}")
     return lines

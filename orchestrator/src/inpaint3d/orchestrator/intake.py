@@ -7,7 +7,7 @@ from pathlib import Path
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.artifacts import Capture, DiffusersPipeline, MaskRequestArtifact, Source
-from inpaint3d.contracts.models.artifacts.masks import MaskRequest, ObjectRequest, ScribbleRequest
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest, list_views
 from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.manifest import Manifest, describe_file, schema_id
@@ -108,15 +108,14 @@ def _take(store: Store, external: str, path: Path, schema: str) -> Digest:
 
 def find_unknown_view(store: Store, request: Digest, capture: Digest, file: Path | None) -> str | None:
     """What is wrong with the view that a mask request points at: it is none of the capture's; None where nothing is."""
-    asked = MaskRequestArtifact.model_validate(store.manifest(request).metadata).request.mask
-    if not isinstance(asked, ObjectRequest | ScribbleRequest):
-        return None
+    asked = list_views(MaskRequestArtifact.model_validate(store.manifest(request).metadata).request.mask)
     names = [frame.name for frame in Capture.model_validate(store.manifest(capture).metadata).frames]
-    if asked.view in names:
+    unknown = next((name for name in asked if name not in names), None)
+    if unknown is None:
         return None
-    near = difflib.get_close_matches(asked.view, names, n=MANY_VIEWS) or names[:MANY_VIEWS]
+    near = difflib.get_close_matches(unknown, names, n=MANY_VIEWS) or names[:MANY_VIEWS]
     more = f" and {len(names) - len(near)} more" if len(names) > len(near) else ""
-    return f"{file or 'the mask request'}: mask.view: no view {asked.view}; there are {', '.join(near)}{more}"
+    return f"{file or 'the mask request'}: mask.view: no view {unknown}; there are {', '.join(near)}{more}"
 
 
 def name_run(capture: Path, given: str | None) -> str:

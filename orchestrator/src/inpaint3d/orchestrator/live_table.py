@@ -19,13 +19,13 @@ class LiveTable:
     def __init__(self, nodes: list[str]) -> None:
         self._rows: dict[str, dict[str, Any]] = {n: {"status": "", "text": ""} for n in nodes}
         self._eta = Eta()
-        self._live = Live(self._table(), console=Console(), refresh_per_second=4)
+        self._live = Live(self._make_table(), console=Console(), refresh_per_second=4)
         self._live.start()
 
     def node(self, node: str, status: str, reason: str = "", **values: Any) -> None:
         text = values.get("error") or reason
         self._rows[node] = {"status": status, "text": text}
-        self._live.update(self._table())
+        self._live.update(self._make_table())
 
     def progress(self, node: str, event: Mapping[str, Any]) -> None:
         done, total = float(event["done"]), float(event["total"])
@@ -34,12 +34,12 @@ class LiveTable:
             "eta": self._eta.seconds(node, done, total),
             "text": event.get("message", ""),
         }
-        self._live.update(self._table())
+        self._live.update(self._make_table())
 
     def close(self) -> None:
         self._live.stop()
 
-    def _table(self) -> Table:
+    def _make_table(self) -> Table:
         colours = {"done": "green", "cached": "cyan", "failed": "red", "running": "yellow", "waiting": "magenta"}
         table = Table(box=None, pad_edge=False)
         for title in ("stage", "state", "", "left", ""):

@@ -18,7 +18,12 @@ RunsPath = Annotated[
 ]
 Name = Annotated[str | None, typer.Option(help="name of the run; default: the capture's folder name")]
 Capture = Annotated[Path, typer.Argument(help="a folder of photos, a data set, or a video file")]
-Mask = Annotated[Path | None, typer.Option(help="mask request (YAML); default: masks that came with the capture")]
+Mask = Annotated[
+    Path | None,
+    typer.Option(
+        help="mask request (YAML); default: the run folder's mask.yaml, else masks that came with the capture"
+    ),
+]
 Preset = Annotated[
     str | None, typer.Option(help="draft, standard, creative, high, paper or spin-nerf; default: the pipeline's")
 ]
@@ -131,7 +136,7 @@ def with_options(command: Callable[..., Any]) -> Callable[..., Any]:
     flat: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         if is_dataclass(hints[name]):
-            groups[name] = _options(hints[name])
+            groups[name] = _make_options(hints[name])
             flat += groups[name].values()
         else:
             flat.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name]))
@@ -146,7 +151,7 @@ def with_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return expanded
 
 
-def _options(group: Any) -> dict[str, inspect.Parameter]:
+def _make_options(group: Any) -> dict[str, inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     return {
         field.name: inspect.Parameter(

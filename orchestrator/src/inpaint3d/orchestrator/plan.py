@@ -103,11 +103,11 @@ class Planner:
 
     def task(self, node: str, *, force: bool = False) -> Task:
         """Key, stored result and reason of a node whose upstream is known."""
-        inputs = self._inputs(node)
+        inputs = self._find_inputs(node)
         spec = self.pipeline.stages[node]
         components = key_components(
             spec,
-            code=self._code(spec),
+            code=self._digest_code(spec),
             parameters=self.configured.parameters[node],
             inputs=inputs,
             seed=self.configured.seeds[node],
@@ -132,14 +132,14 @@ class Planner:
                 return find_unknown_view(self.store, request, self.outputs[node][port], self.mask)
         return None
 
-    def _code(self, spec: StageSpec) -> Digest:
+    def _digest_code(self, spec: StageSpec) -> Digest:
         if self.images is None:
             return code_digest(spec.spec.module)
         if spec.spec.image not in self.images:
             raise ConfigurationError(f"images.yaml has no {spec.spec.image}; run `make images`")
         return self.images[spec.spec.image].digest
 
-    def _inputs(self, node: str) -> Inputs:
+    def _find_inputs(self, node: str) -> Inputs:
         ports = self.pipeline.stages[node].spec.inputs
         inputs: Inputs = {}
         for port, references in self.pipeline.references(node).items():

@@ -53,11 +53,11 @@ class PrunedPipeline:
     @property
     def left_out(self) -> dict[str, str]:
         """Node -> why it does not run."""
-        return {node: self._reason(node) for node in self.whole.order if node not in self.pipeline.nodes}
+        return {node: self._explain_reading(node) for node in self.whole.order if node not in self.pipeline.nodes}
 
     def remedy(self, node: str) -> str:
         """What on the command line makes a node run that was left out."""
-        ways = [u.remedy for u in self._turned_down(node) if u.remedy]
+        ways = [u.remedy for u in self._list_unread(node) if u.remedy]
         return " or ".join([*dict.fromkeys(ways), f"--until {node}"]) + " runs it"
 
     def reason_unread(self, external: str) -> str | None:
@@ -74,11 +74,11 @@ class PrunedPipeline:
                 return f"{node}, which reads it, is left out ({self.left_out[node]}); {self.remedy(node)}"
         return f"no node of {self.whole.path} reads {reference}"
 
-    def _reason(self, node: str) -> str:
+    def _explain_reading(self, node: str) -> str:
         if node in self.whole.spec.spec.compare:
             return "a control; --compare runs it"
         readers = [n for n in self.whole.order if node in self.whole.upstream(n)]
-        said = [str(u) for u in self._turned_down(node)]
+        said = [str(u) for u in self._list_unread(node)]
         if not readers:
             return f"wanted by no preset; --want {node} runs it"
         said += [f"{n}, which reads it, is left out" for n in readers if n not in self.pipeline.nodes]
@@ -86,7 +86,7 @@ class PrunedPipeline:
             said = [f"{n} reads it only if it is made anyway" for n in readers]
         return "nothing asks for it: " + "; ".join(said)
 
-    def _turned_down(self, node: str) -> list[Unread]:
+    def _list_unread(self, node: str) -> list[Unread]:
         outputs = [f"{node}.{port}" for port in self.whole.stages[node].spec.outputs]
         return [u for u in self.unread if any(u.port in _find_ports(self.whole, u.node, o) for o in outputs)]
 

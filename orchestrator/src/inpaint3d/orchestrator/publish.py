@@ -23,7 +23,7 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         protocols = artifact.metadata.protocols
         _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
         html = artifact.path(artifact.metadata.report).read_text()
-        for marker, section in _sections(store, record).items():
+        for marker, section in _render_sections(store, record).items():
             if marker not in html:
                 raise ArtifactError(
                     f"{artifact.metadata.report} of {digest} lacks the line {marker}; re-run evaluation"
@@ -40,7 +40,7 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
     return report
 
 
-def _sections(store: Store, record: RunRecord) -> dict[str, str]:
+def _render_sections(store: Store, record: RunRecord) -> dict[str, str]:
     """What a run adds to the page of its evaluation, by the line that it takes the place of."""
     doubts = render("inpaint3d.orchestrator", "doubts.html.j2", doubts=record.doubts) if record.doubts else ""
     return {DOUBT_MARKER: doubts, RUN_MARKER: render_times(store, record)}

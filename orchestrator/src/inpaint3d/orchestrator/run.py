@@ -76,7 +76,7 @@ class Scheduler:
         """
         (self.folder / "logs").mkdir(parents=True, exist_ok=True)
         try:
-            with self._signals(), self._starter():
+            with self._handle_signals(), self._open_starter():
                 self._go_along()
         except BrokenPipeError as error:
             self._abort("stopped", gone := "nobody reads standard output any more")
@@ -124,7 +124,7 @@ class Scheduler:
                 progressed = True
             elif node not in self._chosen:
                 self._close(task, "skipped", reason=NOT_SELECTED)
-            elif self._may_start() and (threads := self._room(node)) > 0:
+            elif self._may_start() and (threads := self._count_free_threads(node)) > 0:
                 self._start(task, threads)
                 progressed = True
         return progressed
@@ -132,7 +132,7 @@ class Scheduler:
     def _may_start(self) -> bool:
         return not self._stopped and all(r.status not in ("failed", "waiting") for r in self._results.values())
 
-    def _room(self, node: str) -> int:
+    def _count_free_threads(self, node: str) -> int:
         """Threads for a node now: its request if free, up to its limit where nobody else is waiting; 0: no room."""
         resources = self.planner.pipeline.stages[node].spec.resources
         wanted = min(self.cores, max(1, int(count_cpus(resources.requests.get("cpu", "1")))))
@@ -181,9 +181,9 @@ class Scheduler:
             self.display.node(node, "running", str(event.get("message", "")))
         elif event["event"] == "exit":
             del self._running[node]
-            self._ended(self._tasks[node], running, int(event["code"]))
+            self._handle_end(self._tasks[node], running, int(event["code"]))
 
-    def _ended(self, task: Task, running: RunningStage, code: int) -> None:
+    def _handle_end(self, task: Task, running: RunningStage, code: int) -> None:
         if code == 0 and (record := self.planner.store.lookup(task.key, verify=False)) is not None:
             self._accept(task, "done", record)
             return
@@ -275,7 +275,7 @@ class Scheduler:
         self.planner.history.save(self.record)
 
     @contextlib.contextmanager
-    def _starter(self) -> Generator[None]:
+    def _open_starter(self) -> Generator[None]:
         with tempfile.TemporaryDirectory(prefix="inpaint3d-") as private:
             self._stages = Starter(self.runner, self.planner.store, Path(private), self._events)
             try:
@@ -292,7 +292,7 @@ class Scheduler:
             running.wait()
 
     @contextlib.contextmanager
-    def _signals(self) -> Generator[None]:
+    def _handle_signals(self) -> Generator[None]:
         """SIGINT, SIGTERM and SIGHUP stop the stages, which keep their checkpoints; a second one leaves at once."""
 
         def stop(number: int, _frame: object) -> None:

@@ -1,5 +1,6 @@
 """Which files a capture's folder consists of: never one outside it, and none that a run left behind in it."""
 
+import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -70,3 +71,5 @@ def _check_name(path: Path, root: Path) -> None:
         raise BadInputError(f"{root}: the name {name!r} is not UTF-8; rename the file") from error
     if "\\" in name:
         raise BadInputError(f"{path}: its name holds a backslash; rename it")
+    if any(unicodedata.category(c) == "Cc" for c in name):
+        raise BadInputError(f"{root}: the name {name!r} holds a control character; rename the file")

@@ -52,11 +52,11 @@ def _find_curves(store: Store, record: RunRecord) -> list[Curve]:
     for node in record.nodes:
         if node.key is not None and (found := store.lookup(node.key, verify=False)) is not None:
             series = found.timings.get("series", {})
-            curves += [_curve(f"{node.node}: {name.replace('_', ' ')}", rows) for name, rows in series.items()]
+            curves += [_find_curve(f"{node.node}: {name.replace('_', ' ')}", rows) for name, rows in series.items()]
     return [curve for curve in curves if curve is not None]
 
 
-def _curve(title: str, rows: Sequence[dict[str, Any]]) -> Curve | None:
+def _find_curve(title: str, rows: Sequence[dict[str, Any]]) -> Curve | None:
     """The first of `FIGURES` that a series has; None where it has none, or one that was measured once."""
     figure = next((f for f in FIGURES if any(f in r for r in rows)), None)
     points = [(float(r["wall_s"]), float(r["cpu_s"]), float(r[figure])) for r in rows if figure and figure in r]

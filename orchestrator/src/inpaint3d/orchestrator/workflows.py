@@ -47,7 +47,7 @@ def scene_of(node: Document, nodes: dict[str, Document]) -> str | None:
     """The scene that a node belongs to: the boundary round it that was given a scene's name."""
     here: Document | None = node
     while here is not None:
-        if here.get("templateName") == SCENE and (name := _parameter(here, "inputs", "name")) is not None:
+        if here.get("templateName") == SCENE and (name := _find_parameter(here, "inputs", "name")) is not None:
             return name
         here = nodes.get(here.get("boundaryID", ""))
     return None
@@ -64,7 +64,7 @@ def list_rows(workflow: Document, now: datetime.datetime) -> Iterator[Row]:
     for (scene, stage), tries in pods.items():
         tries.sort(key=lambda n: n.get("startedAt") or "")
         last = tries[-1]
-        yield Row(scene, stage, _phase(last), _seconds(last, now), len(tries), last.get("message") or "")
+        yield Row(scene, stage, _read_phase(last), _measure_seconds(last, now), len(tries), last.get("message") or "")
 
 
 def is_over(workflow: Document) -> bool:
@@ -104,20 +104,20 @@ def supply_patch(workflow: Document, scene: str, external: str, digest: str, now
     return {"metadata": {"resourceVersion": workflow["metadata"]["resourceVersion"]}, "status": status}
 
 
-def _parameter(node: Document, side: str, name: str) -> str | None:
+def _find_parameter(node: Document, side: str, name: str) -> str | None:
     both: Document = node.get(side) or {}
     given: list[Document] = both.get("parameters") or []
     return next((str(p.get("value")) for p in given if p["name"] == name), None)
 
 
-def _phase(node: Document) -> str:
+def _read_phase(node: Document) -> str:
     """Argo's word, or that an image cannot be pulled, which Argo waits for as for any other pod."""
     phase = str(node.get("phase") or "Pending")
     unpullable = phase == "Pending" and any(word in str(node.get("message")) for word in UNPULLABLE)
     return "NoImage" if unpullable else phase
 
 
-def _seconds(node: Document, now: datetime.datetime) -> float | None:
+def _measure_seconds(node: Document, now: datetime.datetime) -> float | None:
     if not (started := node.get("startedAt")):
         return None
     ended = node.get("finishedAt")

@@ -131,7 +131,7 @@ def find_os_error(error: BaseException) -> Inpaint3dError | None:
     while link is not None:
         if isinstance(link, MemoryError):
             return RetryableError("no memory left; give the machine more, or run fewer stages at once, and run again")
-        number = link.errno if isinstance(link, OSError) else _number_in(str(link))
+        number = link.errno if isinstance(link, OSError) else _find_number(str(link))
         if number is not None:
             found = link if isinstance(link, OSError) else OSError(number, os.strerror(number))
             if (known := from_os_error(found)).exit_code != Inpaint3dError.exit_code:
@@ -140,6 +140,6 @@ def find_os_error(error: BaseException) -> Inpaint3dError | None:
     return None
 
 
-def _number_in(text: str) -> int | None:
+def _find_number(text: str) -> int | None:
     told = (*_DISK_FULL, errno.EROFS, errno.EIO, *_TOO_MANY_FILES)
     return next((number for number in told if os.strerror(number) in text), None)

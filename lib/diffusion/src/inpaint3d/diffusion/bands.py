@@ -15,15 +15,15 @@ from torch import Tensor
 
 def to_opponent(x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
     """RGB -> lightness, red against blue, green against both: a rotation, so that white noise stays white."""
-    return torch.einsum("ij,bjhw->bihw", _opponent(x), x)
+    return torch.einsum("ij,bjhw->bihw", _make_opponent_matrix(x), x)
 
 
 def from_opponent(x: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
     """The inverse of `to_opponent`."""
-    return torch.einsum("ji,bjhw->bihw", _opponent(x), x)
+    return torch.einsum("ji,bjhw->bihw", _make_opponent_matrix(x), x)
 
 
-def _opponent(like: Tensor) -> Float[Tensor, "3 3"]:
+def _make_opponent_matrix(like: Tensor) -> Float[Tensor, "3 3"]:
     rows = torch.tensor([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 2.0, -1.0]]).to(like)
     return rows / rows.norm(dim=1, keepdim=True)
 

@@ -54,7 +54,7 @@ class PriorQuery(NamedTuple):
         """A code at t, and its noise. Raises ValueError without any."""
         if self.eps is None:
             raise ValueError("this gradient noises the patch itself; give the query eps")
-        a, s = _levels(self.t)
+        a, s = _compute_levels(self.t)
         return a * code + s * self.eps, self.eps
 
 
@@ -66,7 +66,7 @@ def sds_gradient(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0) -
     """
     x, mask, t = query.x.detach(), query.mask, query.t
     code, to_pixels = _encode(prior, x, mask)
-    _, s = _levels(t)
+    _, s = _compute_levels(t)
     z, eps = query.noise(code)
     # The denoiser's Jacobian is dropped on purpose: that is SDS.
     eps_hat = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
@@ -83,7 +83,7 @@ def nfsd_gradient(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0) 
     """
     x, mask, t = query.x.detach(), query.mask, query.t
     code, to_pixels = _encode(prior, x, mask)
-    _, s = _levels(t)
+    _, s = _compute_levels(t)
     z, _ = query.noise(code)
     estimate = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     negative = check_answer(prior.predict_noise(z, t, _smooth(x, mask), mask, noise_fill=query.noise_fill), t)
@@ -99,12 +99,12 @@ def sdi_gradient(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0, s
     """
     x, mask, t = query.x.detach(), query.mask, query.t
     code, to_pixels = _encode(prior, x, mask)
-    a, s = _levels(t)
+    a, s = _compute_levels(t)
 
     def predict(z: Tensor, level: Tensor) -> Tensor:
         return prior.predict_noise(z, level, x, mask, noise_fill=query.noise_fill)
 
-    z = ddim(predict, code, _between(torch.full_like(t, T_FLOOR), t, steps))
+    z = ddim(predict, code, _space_times(torch.full_like(t, T_FLOOR), t, steps))
     eps_hat = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     return to_pixels(s**2 * (eps_hat - (z - a * code) / s))
 
@@ -119,15 +119,15 @@ def ism_gradient(
     """
     x, mask, t = query.x.detach(), query.mask, query.t
     code, to_pixels = _encode(prior, x, mask)
-    _, weight = _levels(t)
+    _, weight = _compute_levels(t)
     before = (t - interval).clamp(min=T_FLOOR)
 
     def null(z: Tensor, level: Tensor) -> Tensor:
         return prior.predict_noise(z, level, x, mask, guidance=0.0, noise_fill=query.noise_fill)
 
-    z_s = ddim(null, code, _between(torch.full_like(t, T_FLOOR), before, steps))
+    z_s = ddim(null, code, _space_times(torch.full_like(t, T_FLOOR), before, steps))
     eps_s = check_answer(null(z_s, before), before)
-    (a_s, s_s), (a, s) = _levels(before), _levels(t)
+    (a_s, s_s), (a, s) = _compute_levels(before), _compute_levels(t)
     z_t = a * (z_s - s_s * eps_s) / a_s + s * eps_s
     eps_hat = check_answer(prior.predict_noise(z_t, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     return to_pixels(weight**2 * (eps_hat - eps_s))
@@ -142,7 +142,7 @@ def vsd_gradient(prior: Denoiser, copy: Denoiser, query: PriorQuery, *, guidance
     """
     x, mask, t = query.x.detach(), query.mask, query.t
     code, to_pixels = _encode(prior, x, mask)
-    _, s = _levels(t)
+    _, s = _compute_levels(t)
     z, _ = query.noise(code)
     eps_hat = check_answer(prior.predict_noise(z, t, x, mask, guidance=guidance, noise_fill=query.noise_fill), t)
     eps_copy = check_answer(copy.predict_noise(z, t, x, mask, noise_fill=query.noise_fill), t)
@@ -180,7 +180,7 @@ def denoised_target(prior: Denoiser, query: PriorQuery, *, guidance: float = 1.0
         return prior.predict_noise(z, level, x, mask, guidance=guidance, noise_fill=query.noise_fill)
 
     z, _ = query.noise(prior.encode(x))
-    clean = ddim(predict, z, _between(t, torch.zeros_like(t), steps), clip=prior.bound)
+    clean = ddim(predict, z, _space_times(t, torch.zeros_like(t), steps), clip=prior.bound)
     return torch.where(mask > 0, check_answer(prior.decode(clean), t).clamp(-1, 1), x)
 
 
@@ -202,11 +202,11 @@ def _encode(prior: Denoiser, x: Image, mask: Mask) -> tuple[Latent, Callable[[La
     return code.detach(), to_pixels
 
 
-def _levels(t: Times) -> tuple[Tensor, Tensor]:
+def _compute_levels(t: Times) -> tuple[Tensor, Tensor]:
     return per_image(alpha(t)), per_image(sigma(t))
 
 
-def _between(first: Times, last: Times, steps: int) -> Float[Tensor, "n b"]:
+def _space_times(first: Times, last: Times, steps: int) -> Float[Tensor, "n b"]:
     """Times of `steps` equal steps, from each image's own first to its own last, [steps + 1, b]."""
     share = torch.linspace(0, 1, steps + 1).to(first)[:, None]
     return first + share * (last - first)

@@ -51,7 +51,7 @@ class PipelinePrior:
                 f"{2 * self.channels + 1}, any other {self.channels}"
             )
         self.sees_mask = inputs > self.channels
-        self.texts = _texts(pipeline, prompt)
+        self.texts = _encode_texts(pipeline, prompt)
         self.stride = 1 if self.vae is None else 2 ** (len(self.vae.config["block_out_channels"]) - 1)
         self._shown: dict[int, tuple[Image, Latent]] = {}
         for part in (self.unet, self.vae):
@@ -107,14 +107,14 @@ class PipelinePrior:
     ) -> Latent:
         """eps_hat(z_t; t, y), guided."""
         return guide_noise(
-            lambda: self._noise(z, t, image, mask, text=1),
-            lambda: self._noise(z, t, torch.zeros_like(image), torch.ones_like(mask), text=0),
+            lambda: self._predict_noise(z, t, image, mask, text=1),
+            lambda: self._predict_noise(z, t, torch.zeros_like(image), torch.ones_like(mask), text=0),
             guidance,
         )
 
     @torch.no_grad()
-    def _noise(self, z: Latent, t: Times, image: Image, mask: Mask, text: int) -> Latent:
-        shown = self._known_code(torch.where(mask > 0, 0.0, image), text)
+    def _predict_noise(self, z: Latent, t: Times, image: Image, mask: Mask, text: int) -> Latent:
+        shown = self._encode_known(torch.where(mask > 0, 0.0, image), text)
         # As these models are trained: a cell is in the hole where its first pixel is.
         holes = F.interpolate(mask, size=z.shape[-2:])
         seen = torch.cat([z, holes, shown], dim=1) if self.sees_mask else z
@@ -127,7 +127,7 @@ class PipelinePrior:
         touched = F.adaptive_max_pool2d(mask, z.shape[-2:])
         return torch.where(touched > 0, noise, (z - per_image(alpha(t)) * shown) / per_image(sigma(t)))
 
-    def _known_code(self, known: Image, text: int) -> Latent:
+    def _encode_known(self, known: Image, text: int) -> Latent:
         """The code of what is shown, kept: a sampler asks about one picture at every step, and encoding costs as much
         as the UNet.
         """
@@ -169,7 +169,7 @@ def load_pipeline(place: str, prompt: str = "") -> PipelinePrior:
     return PipelinePrior(pipeline, prompt)
 
 
-def _texts(pipeline: Any, prompt: str) -> Float[Tensor, "2 1 tokens width"] | None:
+def _encode_texts(pipeline: Any, prompt: str) -> Float[Tensor, "2 1 tokens width"] | None:
     """What the UNet is told: nothing and the prompt; None where it takes no text."""
     if "text_encoder" not in pipeline.components:
         return None

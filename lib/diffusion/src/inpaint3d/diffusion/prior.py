@@ -49,7 +49,7 @@ class InpaintingPrior(nn.Module):
         super().__init__()
         self.spec = spec
         self.bf16 = bf16
-        self.network = _random_network(spec, seed) if network is None else network
+        self.network = _make_random_network(spec, seed) if network is None else network
 
     @property
     def size(self) -> int:
@@ -139,7 +139,7 @@ def input_channels(spec: PriorSpec) -> int:
     return 6 if spec.condition == "noise-fill" else 7
 
 
-def _random_network(spec: PriorSpec, seed: int) -> EfficientUNet:
+def _make_random_network(spec: PriorSpec, seed: int) -> EfficientUNet:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return EfficientUNet(

@@ -35,8 +35,8 @@ def ddpm(
 
     clip bounds the clean estimate, e.g. 1 for pictures in [-1, 1].
     """
-    for t, s in _pairs(times, z):
-        a_t, s_t, a_s, s_s = _levels(t, s)
+    for t, s in _pair_times(times, z):
+        a_t, s_t, a_s, s_s = _compute_levels(t, s)
         clean = _clean(check_answer(predict(z, t), t), z, a_t, s_t, clip)
         # 1 - SNR(t) / SNR(s): the share of z_t's noise that came in after s.
         fresh = 1 - (a_t * s_s / (s_t * a_s)) ** 2
@@ -53,8 +53,8 @@ def ddim(
     With times that rise it goes the other way: inversion, from a picture to the noise that it would be sampled from
     (section 4.3).
     """
-    for t, s in _pairs(times, z):
-        a_t, s_t, a_s, s_s = _levels(t, s)
+    for t, s in _pair_times(times, z):
+        a_t, s_t, a_s, s_s = _compute_levels(t, s)
         clean = _clean(check_answer(predict(z, t), t), z, a_t, s_t, clip)
         noise = (z - a_t * clean) / s_t
         z = a_s * clean + s_s * noise
@@ -69,10 +69,10 @@ def dpm_solver(
     The first step and the last are first order: nothing lies before the one, and the other leaps in lambda, over which
     the line through two estimates would be drawn far beyond them.
     """
-    pairs = _pairs(times, z)
+    pairs = _pair_times(times, z)
     before, h_before = None, None
     for i, (t, s) in enumerate(pairs):
-        a_t, s_t, a_s, s_s = _levels(t, s)
+        a_t, s_t, a_s, s_s = _compute_levels(t, s)
         clean = _clean(check_answer(predict(z, t), t), z, a_t, s_t, clip)
         h = per_image(cosine_log_snr(s) - cosine_log_snr(t)) / 2
         D = clean
@@ -113,13 +113,13 @@ def inpaint(
         return torch.where(mask > 0, made.clamp(-1, 1), image)
 
 
-def _pairs(times: Tensor, z: Tensor) -> list[tuple[Tensor, Tensor]]:
+def _pair_times(times: Tensor, z: Tensor) -> list[tuple[Tensor, Tensor]]:
     """(t, s) of each step, one number per image: from t to the less noisy s."""
     rows = times.to(z).reshape(len(times), -1).expand(-1, z.shape[0])
     return list(itertools.pairwise(rows))
 
 
-def _levels(t: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _compute_levels(t: Tensor, s: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return per_image(alpha(t)), per_image(sigma(t)), per_image(alpha(s)), per_image(sigma(s))
 
 

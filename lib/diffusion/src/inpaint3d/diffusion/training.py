@@ -133,11 +133,11 @@ def denoising_loss(
     # Where the truth is unknown z is made of the fill: never of a pixel that must not be learnt.
     x = torch.where(batch.teach > 0, batch.image, stand_in_for(fill, hole, spec))
     region = batch.teach * (hole if spec.loss_region == "hole" else 1)
-    squared = (_error(prior, x, eps, t, fill, hole).square() * region).sum(dim=(1, 2, 3))
+    squared = (_compute_error(prior, x, eps, t, fill, hole).square() * region).sum(dim=(1, 2, 3))
     return (squared / (3 * region.sum(dim=(1, 2, 3))).clamp(min=1)).mean()
 
 
-def _error(prior: InpaintingPrior, x: Image, eps: Image, t: Tensor, fill: Image, hole: Mask) -> Image:
+def _compute_error(prior: InpaintingPrior, x: Image, eps: Image, t: Tensor, fill: Image, hole: Mask) -> Image:
     """What is squared: the error of the network's output, or for `residual` that of the clean picture."""
     parameterisation = prior.parameterisation(t)
     a, s = parameterisation.levels
@@ -240,8 +240,8 @@ def load_checkpoint(path: Path, state: TrainingState) -> bool:
         return False
     tensors = load_file(found)
     try:
-        state.prior.load_state_dict(_under(tensors, "prior."))
-        state.average.load_state_dict(_under(tensors, "average."))
+        state.prior.load_state_dict(_take_prefix(tensors, "prior."))
+        state.average.load_state_dict(_take_prefix(tensors, "average."))
     except RuntimeError as error:
         raise ValueError(f"checkpoint {path} belongs to another architecture: {error}") from error
     state.optimiser.state.clear()
@@ -259,5 +259,5 @@ def load_checkpoint(path: Path, state: TrainingState) -> bool:
     return True
 
 
-def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def _take_prefix(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

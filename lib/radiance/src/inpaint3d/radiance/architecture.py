@@ -105,10 +105,10 @@ def parameter_shapes(spec: FieldSpec) -> dict[str, tuple[int, ...]]:
     """Name and shape of each tensor of `fields.RadianceField`, networks [out, in]."""
     heads = 1 + 3 + (spec.bottleneck if spec.view_layers else 0)
     if spec.sampler == "proposal":
-        shapes = _hash_network("proposal", spec.proposal_grid, [spec.density_width, 1])
+        shapes = _shape_hash_network("proposal", spec.proposal_grid, [spec.density_width, 1])
     else:
         shapes = {"density_grid.density": (spec.density_cells**3,)}
-    shapes |= _hash_network("base", spec.grid, [spec.density_width, heads])
+    shapes |= _shape_hash_network("base", spec.grid, [spec.density_width, heads])
     if spec.view_layers:
         widths = [spec.bottleneck + DIRECTION_COMPONENTS, *[spec.view_width] * spec.view_layers, 3]
         shapes |= {f"specular.{i}": (out, into) for i, (into, out) in enumerate(pairwise(widths))}
@@ -117,7 +117,7 @@ def parameter_shapes(spec: FieldSpec) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def _hash_network(name: str, grid: GridSpec, widths: list[int]) -> dict[str, tuple[int, ...]]:
+def _shape_hash_network(name: str, grid: GridSpec, widths: list[int]) -> dict[str, tuple[int, ...]]:
     levels = levels_of(grid.levels, grid.coarsest, grid.finest, grid.log2_table)
     shapes: dict[str, tuple[int, ...]] = {f"{name}.table": (levels[-1].offset + levels[-1].size, grid.channels)}
     for i, (into, out) in enumerate(pairwise([grid.levels * grid.channels, *widths])):

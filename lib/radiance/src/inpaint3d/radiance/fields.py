@@ -91,11 +91,11 @@ class RadianceField(nn.Module):
         """Density that the proposal network guesses at scene points, per scene unit."""
         if self.proposal is None:
             raise ValueError(f"a field whose sampler is {self.spec.sampler!r} has no proposal network")
-        return _density(self.proposal(self.cube(points), self.backend)[:, 0])
+        return _to_density(self.proposal(self.cube(points), self.backend)[:, 0])
 
     def density(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Density at scene points, per scene unit."""
-        return _density(self.base(self.cube(points), self.backend)[:, 0])
+        return _to_density(self.base(self.cube(points), self.backend)[:, 0])
 
     def appearance(
         self, view: Int64[Tensor, " n"] | None, glo: Literal["view", "mean"]
@@ -127,7 +127,7 @@ class RadianceField(nn.Module):
             along, across = first.split([bottleneck.shape[1], first.shape[1] - bottleneck.shape[1]], 1)
             starts = directions.spherical_harmonics(towards) @ across.T
             specular = self.backend.mlp(bottleneck, [along, *others], starts)
-        return Samples(_density(raw[:, 0]), *self.backend.colours(diffuse, specular, appearance, specular_scale))
+        return Samples(_to_density(raw[:, 0]), *self.backend.colours(diffuse, specular, appearance, specular_scale))
 
 
 class HashNetwork(nn.Module):
@@ -155,7 +155,7 @@ def _start(name: str, shape: tuple[int, ...], generator: torch.Generator) -> Ten
     return spread * math.sqrt(6 / shape[0 if name == "code_map" else 1])
 
 
-def _density(raw: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+def _to_density(raw: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     return safe.exp(raw + DENSITY_SHIFT)
 
 

@@ -44,12 +44,12 @@ class HeldOut:
     @classmethod
     def on_lattice(cls, photos: Iterable[KnownPhoto], longest_side: int, device: torch.device | str) -> "HeldOut":
         """The known pixels of a regular lattice with about `longest_side` pixels along the longest side."""
-        return cls(_lattice(photo, longest_side, device) for photo in photos)
+        return cls(_sample_lattice(photo, longest_side, device) for photo in photos)
 
     @classmethod
     def at_random(cls, photos: Iterable[KnownPhoto], pixels: int, device: torch.device | str) -> "HeldOut":
         """A random choice of at most `pixels` known pixels of each photo, always the same one."""
-        return cls(_random_choices(photos, pixels, device))
+        return cls(_draw_pixels(photos, pixels, device))
 
     def psnr(self, field: RadianceField, block: int) -> float | None:
         """Mean over the photos of their PSNR in dB, mean appearance code; None where no photo has a known pixel.
@@ -60,7 +60,7 @@ class HeldOut:
         return math.fsum(scores) / len(scores) if scores else None
 
 
-def _lattice(photo: KnownPhoto, longest_side: int, device: torch.device | str) -> tuple[Rays, Colours]:
+def _sample_lattice(photo: KnownPhoto, longest_side: int, device: torch.device | str) -> tuple[Rays, Colours]:
     step = max(1, math.ceil(max(photo.camera.width, photo.camera.height) / longest_side))
     lattice = np.s_[step // 2 :: step, step // 2 :: step]
     known = photo.known[lattice]
@@ -68,7 +68,7 @@ def _lattice(photo: KnownPhoto, longest_side: int, device: torch.device | str) -
     return camera_rays(photo.camera, xy, device=device), photo.image[lattice][known]
 
 
-def _random_choices(
+def _draw_pixels(
     photos: Iterable[KnownPhoto], pixels: int, device: torch.device | str
 ) -> Iterator[tuple[Rays, Colours]]:
     rng = np.random.default_rng(0)

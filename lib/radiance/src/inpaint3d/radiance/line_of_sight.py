@@ -36,7 +36,7 @@ class SightLines:
         """Of the rows of the tracks that `among` takes; None: of all. `points.track_frame` indexes `cameras`."""
         chosen = slice(None) if among is None else among
         origins = np.stack([camera.centre for camera in cameras])[points.track_frame[chosen]]
-        return cls._between(origins, points.xyz[points.track_point[chosen]], device)
+        return cls._join_points(origins, points.xyz[points.track_point[chosen]], device)
 
     @classmethod
     def of_surfaces(
@@ -49,10 +49,10 @@ class SightLines:
         for camera, depth, chosen in surfaces:
             points.append(camera.unproject(camera.pixel_centres()[chosen], depth[chosen]))
             origins.append(np.broadcast_to(camera.centre, points[-1].shape))
-        return cls._between(np.concatenate(origins), np.concatenate(points), device)
+        return cls._join_points(np.concatenate(origins), np.concatenate(points), device)
 
     @classmethod
-    def _between(
+    def _join_points(
         cls, origins: NDArray[np.floating], points: NDArray[np.floating], device: torch.device | str
     ) -> "SightLines":
         """From origins to points, [n, 3] both."""

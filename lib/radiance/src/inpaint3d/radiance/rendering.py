@@ -63,7 +63,7 @@ def render(
     tdist = field.spacing.metric_from_normalised(sdist)
     r, s = len(sdist), sdist.shape[1] - 1
     appearance = field.appearance(flat.view, glo)
-    points = _points(flat, tdist)
+    points = _find_points(flat, tdist)
     samples = field.query(points, flat.directions, appearance, specular_scale)
     if field.density_grid is not None and generator is not None:
         field.density_grid.notice(field.cube(points), samples.density)
@@ -109,13 +109,13 @@ def _propose(
         if level == len(rounds):
             break
         tdist = field.spacing.metric_from_normalised(sdist)
-        density = field.proposal_density(_points(rays, tdist)).reshape(r, count)
+        density = field.proposal_density(_find_points(rays, tdist)).reshape(r, count)
         weights = alpha_weights(density, tdist)
         proposals.append((sdist, weights))
     return sdist, proposals
 
 
-def _points(rays: Rays, tdist: Float[Tensor, "r s"]) -> Float[Tensor, "_ 3"]:
+def _find_points(rays: Rays, tdist: Float[Tensor, "r s"]) -> Float[Tensor, "_ 3"]:
     """The middles of intervals, ray after ray."""
     middle = (tdist[:, 1:] + tdist[:, :-1]) / 2
     return torch.addcmul(rays.origins[:, None], rays.directions[:, None], middle[..., None]).reshape(-1, 3)

@@ -101,13 +101,13 @@ class _Watch(TorchDispatchMode):
         self._rays: Rays | None = None
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        arguments = [t for t in _tensors((args, kwargs)) if self.origin is None]
+        arguments = [t for t in _list_tensors((args, kwargs)) if self.origin is None]
         made = func(*args, **(kwargs or {}))
         name = str(func).removeprefix("aten.").partition(".")[0]
         if self.origin is None and name not in PASSING_ON:
-            rays = next((f.f_locals.get("flat") for f in _frames() if f.f_code.co_name == "render"), None)
+            rays = next((f.f_locals.get("flat") for f in _walk_frames() if f.f_code.co_name == "render"), None)
             self._rays = rays if isinstance(rays, Rays) else self._rays
-            for tensor in _tensors(made):
+            for tensor in _list_tensors(made):
                 if found := find_non_finite({"": tensor}):
                     given = bool(find_non_finite({str(i): t for i, t in enumerate(arguments)}))
                     self.origin = Origin(name, _name_function(), given, found[0].first, tuple(tensor.shape), self._rays)
@@ -115,18 +115,18 @@ class _Watch(TorchDispatchMode):
         return made
 
 
-def _tensors(value: Any) -> Iterator[Tensor]:
+def _list_tensors(value: Any) -> Iterator[Tensor]:
     if isinstance(value, Tensor):
         yield value
     elif isinstance(value, Mapping):
         for part in value.values():
-            yield from _tensors(part)
+            yield from _list_tensors(part)
     elif isinstance(value, (tuple, list)):
         for part in value:
-            yield from _tensors(part)
+            yield from _list_tensors(part)
 
 
-def _frames() -> Iterator[FrameType]:
+def _walk_frames() -> Iterator[FrameType]:
     frame = inspect.currentframe()
     while frame is not None:
         yield frame
@@ -136,7 +136,7 @@ def _frames() -> Iterator[FrameType]:
 def _name_function() -> str:
     """The innermost function of ours, or the node of the backward pass."""
     node = torch._C._current_autograd_node()
-    for frame in _frames():
+    for frame in _walk_frames():
         module = str(frame.f_globals.get("__name__", ""))
         if module.startswith("inpaint3d.") and module != __name__:
             return f"{module.removeprefix('inpaint3d.')}.{frame.f_code.co_name}{', backward' if node else ''}"

@@ -55,8 +55,8 @@ def line_chart(lines: Sequence[Line], x_title: str, y_title: str, min_y_span: fl
     x begins at 0 or below. y shows at least `min_y_span`, so that noise of a smaller size does not look like a curve.
     """
     lines = [line for line in lines if line.points]
-    x = _x_axis([x for line in lines for x, _ in line.points])
-    y = _y_axis([y for line in lines for _, y in line.points], min_y_span)
+    x = _make_x_axis([x for line in lines for x, _ in line.points])
+    y = _make_y_axis([y for line in lines for _, y in line.points], min_y_span)
     return render(
         "inpaint3d.report",
         "chart.html.j2",
@@ -68,12 +68,12 @@ def line_chart(lines: Sequence[Line], x_title: str, y_title: str, min_y_span: fl
     )  # fmt: skip
 
 
-def _x_axis(values: Sequence[float]) -> Axis:
+def _make_x_axis(values: Sequence[float]) -> Axis:
     low, high = min(0.0, *values, 0.0), max(values, default=1.0)
     return Axis(low, high if high > low else low + 1.0, LEFT, WIDTH - RIGHT)
 
 
-def _y_axis(values: Sequence[float], min_span: float) -> Axis:
+def _make_y_axis(values: Sequence[float], min_span: float) -> Axis:
     low, high = min(values, default=0.0), max(values, default=1.0)
     margin = max(0.08 * (high - low), (min_span - (high - low)) / 2)
     if margin <= 0:  # one value: any range around it will do

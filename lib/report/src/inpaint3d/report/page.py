@@ -20,11 +20,11 @@ def render(package: str, template: str, **values: object) -> str:
     """
     from markupsafe import Markup
 
-    return Markup(_environment(package).get_template(template).render(**values))  # noqa: S704 - its values are escaped
+    return Markup(_make_environment(package).get_template(template).render(**values))  # noqa: S704 - its values are escaped
 
 
 @cache
-def _environment(package: str) -> "Environment":
+def _make_environment(package: str) -> "Environment":
     # Imported where a page is made: a command line that makes none starts without it.
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 

@@ -77,7 +77,7 @@ class Camera:
     def rays(self, xy: ArrayLike | None = None) -> tuple[Floats, Floats]:
         """Origins and unit directions of the rays through `xy` [*n, 2] (default: pixel centres [h, w, 2])."""
         xy = self.pixel_centres() if xy is None else np.asarray(xy, np.float64)
-        directions = self._in_camera(xy) @ self.rotation.T
+        directions = self._unproject_flat(xy) @ self.rotation.T
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return np.broadcast_to(self.centre, directions.shape), directions
 
@@ -94,7 +94,7 @@ class Camera:
 
     def unproject(self, xy: ArrayLike, z: ArrayLike) -> Floats:
         """World points [*n, 3] at depth `z` [*n] along the axis behind pixels `xy` [*n, 2]."""
-        in_cam = self._in_camera(np.asarray(xy, np.float64)) * np.asarray(z, np.float64)[..., None]
+        in_cam = self._unproject_flat(np.asarray(xy, np.float64)) * np.asarray(z, np.float64)[..., None]
         return in_cam @ self.rotation.T + self.centre
 
     def inside(self, xy: ArrayLike, z: ArrayLike) -> NDArray[np.bool_]:
@@ -122,7 +122,7 @@ class Camera:
             height=height,
         )
 
-    def _in_camera(self, xy: Floats) -> Floats:
+    def _unproject_flat(self, xy: Floats) -> Floats:
         """Points of the plane z = 1 behind pixels, [*n, 3]."""
         plane = (xy - (self.cx, self.cy)) / (self.fx, self.fy)
         return np.concatenate([plane, np.ones_like(plane[..., :1])], -1)

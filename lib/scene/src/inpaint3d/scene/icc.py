@@ -57,15 +57,15 @@ def read_profile(data: bytes) -> ColourProfile | None:
         if data[_SIGNATURE_AT : _SIGNATURE_AT + 4] != b"acsp":
             raise ValueError("no profile's signature")
         space = data[16:20]
-        tags = _tags(data)
+        tags = _read_tags(data)
         if space == b"GRAY" and b"kTRC" in tags:
-            return ColourProfile(_describe(tags), _curve(tags[b"kTRC"])[None], np.ones((3, 1)))
+            return ColourProfile(_describe(tags), _read_curve(tags[b"kTRC"])[None], np.ones((3, 1)))
         if space != b"RGB ":
             return None
         if missing := {b"rXYZ", b"gXYZ", b"bXYZ", b"rTRC", b"gTRC", b"bTRC"} - set(tags):
             raise ValueError(f"it has no {', '.join(sorted(m.decode() for m in missing))}: tables alone are not read")
-        curves = np.stack([_curve(tags[b"%cTRC" % c]) for c in b"rgb"])
-        matrix = np.stack([_xyz(tags[b"%cXYZ" % c]) for c in b"rgb"], 1)
+        curves = np.stack([_read_curve(tags[b"%cTRC" % c]) for c in b"rgb"])
+        matrix = np.stack([_read_xyz(tags[b"%cXYZ" % c]) for c in b"rgb"], 1)
     except (struct.error, IndexError, OverflowError) as error:
         raise ValueError(f"it is damaged ({error})") from error
     if not (np.isfinite(matrix).all() and np.isfinite(curves).all()):
@@ -73,7 +73,7 @@ def read_profile(data: bytes) -> ColourProfile | None:
     return ColourProfile(_describe(tags), curves, np.asarray(np.linalg.solve(XYZ_FROM_SRGB, matrix), np.float64))
 
 
-def _tags(data: bytes) -> dict[bytes, bytes]:
+def _read_tags(data: bytes) -> dict[bytes, bytes]:
     (count,) = struct.unpack_from(">I", data, _HEADER)
     if count > 1000:
         raise ValueError(f"it is damaged ({count} tags)")
@@ -81,13 +81,13 @@ def _tags(data: bytes) -> dict[bytes, bytes]:
     return {key: data[start : start + size] for key, start, size in entries}
 
 
-def _xyz(tag: bytes) -> Floats:
+def _read_xyz(tag: bytes) -> Floats:
     if tag[:4] != b"XYZ ":
         raise ValueError(f"it is damaged (a colour of type {tag[:4]!r})")
     return np.array(struct.unpack_from(">3i", tag, 8)) / 65536
 
 
-def _curve(tag: bytes) -> Floats:
+def _read_curve(tag: bytes) -> Floats:
     """Linear light of evenly spaced codes, [ENTRIES]."""
     x = np.linspace(0.0, 1.0, ENTRIES)
     if tag[:4] == b"curv":
@@ -103,10 +103,10 @@ def _curve(tag: bytes) -> Floats:
     (kind,) = struct.unpack_from(">H", tag, 8)
     if kind not in _PARAMETERS:
         raise ValueError(f"it is damaged (a curve of kind {kind})")
-    return _parametric(kind, [v / 65536 for v in struct.unpack_from(f">{_PARAMETERS[kind]}i", tag, 12)], x)
+    return _evaluate_parametric(kind, [v / 65536 for v in struct.unpack_from(f">{_PARAMETERS[kind]}i", tag, 12)], x)
 
 
-def _parametric(kind: int, values: list[float], x: Floats) -> Floats:
+def _evaluate_parametric(kind: int, values: list[float], x: Floats) -> Floats:
     """Table 65: (a x + b)^g + e from d on, c x + f below; what a kind leaves out is 0 (and a is 1)."""
     g, a, b, c, d, e, f = [*values, *[1.0, 0.0, 0.0, 0.0, 0.0, 0.0][len(values) - 1 :]]
     if kind in (1, 2):

@@ -25,6 +25,7 @@ MAX_DECODED_BYTES = 2**30
 ROWS_AT_ONCE = 256  # while colours are converted in float64
 MAX_CODE = 2**16 - 1
 MIDDLE = 127.5 / 255
+CMYK = ("CMYK", "YCCK")  # OpenImageIO's words for a JPEG of inks
 # Of linear light: a share of white that no exposure leaves, and what even the brightest pixel exceeds.
 MAX_WHITE, MIN_LIGHT = 0.5, 1e-3
 # Time stamps and host names would make equal pictures differ.
@@ -46,7 +47,9 @@ class Header:
     orientation: int
     format: str
     exif: dict[str, Attribute]
-    profile: ColourProfile | None = None  # None: its codes are sRGB, or linear light
+    profile: ColourProfile | None = None  # None: its codes are sRGB, linear light, or inks
+    is_srgb: bool = True
+    """Whether its codes are sRGB as they are: no profile, no linear light, no CMYK."""
 
     @property
     def upright_size(self) -> tuple[int, int]:
@@ -58,16 +61,19 @@ def read_header(path: Path) -> Header:
     """Size, depth and EXIF; BadInputError for a file that is no picture."""
     spec = _open(path).spec()
     pixel = oiio.TypeDesc(spec.format)
+    profile = _profile(spec, path)
+    inks = _read_text(spec, "jpeg:ColorSpace") in CMYK
     return Header(
         width=spec.width,
         height=spec.height,
         channels=spec.nchannels,
         bits=8 * pixel.basesize(),
         is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
-        orientation=int(spec.get_int_attribute("Orientation", 1)),
+        orientation=_read_orientation(spec),
         format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
-        exif=_attributes(spec),
-        profile=_profile(spec, path),
+        exif=_read_attributes(spec),
+        profile=profile,
+        is_srgb=profile is None and not inks and not _is_linear(spec),
     )
 
 
@@ -92,9 +98,9 @@ def read_stored(path: Path) -> Image | NDArray[np.uint8]:
     linear = _is_linear(buffer.spec())  # before reading, which changes the buffer's format
     profile = None if linear else _profile(buffer.spec(), path)
     eight_bits = buffer.spec().format == oiio.TypeUInt8 and not linear
-    pixels = _pixels(buffer, path, "uint8" if eight_bits else "float")
+    pixels = _read_all(buffer, path, "uint8" if eight_bits else "float")
     if profile is not None:
-        pixels = _in_srgb(profile, pixels)
+        pixels = _convert_to_srgb(profile, pixels)
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)
     if eight_bits:
         return np.ascontiguousarray(colour)
@@ -120,7 +126,7 @@ def read_opaque(path: Path) -> Mask | None:
     """Where a picture with an alpha channel is opaque by more than half, bool [h, w], upright; None without one."""
     buffer = _open(path)
     alpha = buffer.spec().alpha_channel
-    return None if alpha < 0 else _pixels(buffer, path)[..., alpha] > MIDDLE
+    return None if alpha < 0 else _read_all(buffer, path)[..., alpha] > MIDDLE
 
 
 def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
@@ -130,8 +136,8 @@ def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
     dark codes is set: which of them mean the inside cannot be told.
     """
     buffer = _open(path)
-    step = _code_step(buffer.spec())  # before reading, which changes the buffer's format
-    pixels = _pixels(buffer, path)
+    step = _find_code_step(buffer.spec())  # before reading, which changes the buffer's format
+    pixels = _read_all(buffer, path)
     # Transparent cut-outs (white everywhere, shape in alpha) are masks too.
     grey = pixels[..., :3].max(-1)
     if pixels.shape[2] in (2, 4) and np.ptp(grey) == 0:
@@ -193,7 +199,7 @@ def write_codes(path: Path, codes: ArrayLike) -> None:
 
 def read_codes(path: Path) -> NDArray[np.uint16]:
     """Whole numbers [h, w] as `write_codes` wrote them; BadInputError for a file that is damaged."""
-    return _pixels(_open(path), path, "uint16")[..., 0]
+    return _read_all(_open(path), path, "uint16")[..., 0]
 
 
 def write_mask(path: Path, mask: ArrayLike) -> None:
@@ -205,7 +211,7 @@ def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
     """Every channel of an EXR by name, float32 [h, w] each. BadInputError where one holds what is not finite."""
     buffer = _open(path)
     names = buffer.spec().channelnames
-    pixels = _pixels(buffer, path)
+    pixels = _read_all(buffer, path)
     channels = {str(name): np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
     if strange := find_non_finite(channels):
         told = ", ".join(map(str, strange))
@@ -234,12 +240,18 @@ def _open(path: Path) -> oiio.ImageBuf:
     hint.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
     buffer = oiio.ImageBuf(str(path), 0, 0, hint)
     if buffer.has_error or not buffer.initialized:
-        raise BadInputError(f"{path} is not a picture that can be read ({_reason(buffer)}); replace or remove it")
+        raise BadInputError(f"{path} is not a picture that can be read ({_explain(buffer)}); replace or remove it")
     _check_size(buffer.spec(), path)
     return buffer
 
 
-def _attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
+def _read_orientation(spec: oiio.ImageSpec) -> int:
+    """EXIF orientation; 0 and what is beyond 8 say nothing, and are written all the same."""
+    said = int(spec.get_int_attribute("Orientation", 1))
+    return said if 1 <= said <= 8 else 1
+
+
+def _read_attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
     """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
     found: dict[str, Attribute] = {}
     for attribute in spec.extra_attribs:
@@ -254,7 +266,7 @@ def _attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
     return found
 
 
-def _text(spec: oiio.ImageSpec, name: str) -> str:
+def _read_text(spec: oiio.ImageSpec, name: str) -> str:
     try:
         return str(spec.get_string_attribute(name, ""))
     except UnicodeDecodeError:
@@ -273,7 +285,7 @@ def _check_size(spec: oiio.ImageSpec, path: Path) -> None:
         )
 
 
-def _code_step(spec: oiio.ImageSpec) -> float | None:
+def _find_code_step(spec: oiio.ImageSpec) -> float | None:
     """The smallest step between two values of a file with whole numbers, 0 to 1; None for a float file."""
     return 1 / 255 if spec.format == oiio.TypeUInt8 else 1 / 65535 if spec.format == oiio.TypeUInt16 else None
 
@@ -292,7 +304,7 @@ def _profile(spec: oiio.ImageSpec, path: Path) -> ColourProfile | None:
     return profile
 
 
-def _in_srgb(profile: ColourProfile, pixels: NDArray[Any]) -> NDArray[Any]:
+def _convert_to_srgb(profile: ColourProfile, pixels: NDArray[Any]) -> NDArray[Any]:
     """Pixels [h, w, c] as sRGB [h, w, 3] of the same kind; a block of rows at a time, for memory's sake."""
     result = np.empty((*pixels.shape[:2], 3), pixels.dtype)
     for top in range(0, len(pixels), ROWS_AT_ONCE):
@@ -303,17 +315,17 @@ def _in_srgb(profile: ColourProfile, pixels: NDArray[Any]) -> NDArray[Any]:
     return result
 
 
-def _pixels(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "uint16"] = "float") -> NDArray[Any]:
+def _read_all(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "uint16"] = "float") -> NDArray[Any]:
     """All channels [h, w, c], float32 or whole numbers, upright; BadInputError where the file is damaged."""
     if buffer.spec().get_string_attribute("oiio:SourceFileFormat", "") == "jpeg" and _cut_short(path):
         raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
     if not buffer.read(force=True, convert=kind) or buffer.has_error:
-        raise BadInputError(f"{path} is damaged ({_reason(buffer)}); copy it again or remove it")
-    upright = buffer if buffer.orientation == 1 else oiio.ImageBufAlgo.reorient(buffer)
+        raise BadInputError(f"{path} is damaged ({_explain(buffer)}); copy it again or remove it")
+    upright = buffer if _read_orientation(buffer.spec()) == 1 else oiio.ImageBufAlgo.reorient(buffer)
     # Where a buffer could not be turned, asking for its pixels trips an assertion of OpenImageIO.
     pixels = upright.get_pixels(kind) if upright.initialized and not upright.has_error else None
     if pixels is None:
-        raise BadInputError(f"{path} is damaged ({_reason(upright)}); copy it again or remove it")
+        raise BadInputError(f"{path} is damaged ({_explain(upright)}); copy it again or remove it")
     return pixels.reshape(upright.spec().height, upright.spec().width, -1)
 
 
@@ -327,13 +339,13 @@ def _cut_short(path: Path) -> bool:
 
 
 def _is_linear(spec: oiio.ImageSpec) -> bool:
-    space = _text(spec, "oiio:ColorSpace").lower()
+    space = _read_text(spec, "oiio:ColorSpace").lower()
     if space:
         return space.startswith(("lin", "scene_linear", "acescg"))
     return oiio.TypeDesc(spec.format).basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE)
 
 
-def _reason(buffer: oiio.ImageBuf) -> str:
+def _explain(buffer: oiio.ImageBuf) -> str:
     try:
         text = buffer.geterror().strip().splitlines()
     except UnicodeDecodeError:  # it quotes the file's bytes

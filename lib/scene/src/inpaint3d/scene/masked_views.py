@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.models.artifacts import MaskSet, PosedCapture
+from inpaint3d.contracts.models.artifacts import MaskSet, MaskView, PosedCapture
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed
@@ -51,24 +51,39 @@ class MaskedScene:
 
 
 def load_masked_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> MaskedScene:
-    """Every posed view with its mask. BadInputError where a mask is missing, misshapen or leaves nothing known."""
+    """Every posed view with its mask. BadInputError where a mask is missing, misshapen or leaves nothing known.
+
+    The hole is what the mask set says: all of the mask, or what of it no other view shows; the rest of the mask is then
+    neither hole nor known.
+    """
     by_name = {m.name: m for m in masks.metadata.views}
     views: dict[str, list[MaskedView]] = {"train": [], "test": []}
+    covered: dict[str, Mask] = {}
     for view in load_posed(posed):
         if (mask := by_name.get(view.name)) is None:
             raise BadInputError(f"the mask set has no mask for view {view.name}; re-run mask-authoring on this capture")
-        hole = read_mask(masks.path(mask.mask), (view.camera.width, view.camera.height))
-        known = view.valid() & ~hole
+        size = (view.camera.width, view.camera.height)
+        masked = read_mask(masks.path(mask.mask), size)
+        known = view.valid() & ~masked
         # Blanked when the view is read, so that no later code can use masked pixels, not even by mistake.
         image = np.where(known[..., None], view.image(), np.float32(0))
-        views[view.split].append(MaskedView(view.name, view.camera, image, hole, known))
+        covered[view.name] = masked
+        own = masked if masks.metadata.hole == "object" else masked & read_mask(masks.path(_find_unseen(mask)), size)
+        views[view.split].append(MaskedView(view.name, view.camera, image, own, known))
     if not any(v.known.any() for v in views["train"]):
         raise BadInputError("the masks cover every training pixel; author a smaller mask")
     points = load_points(posed.path(posed.metadata.points))
-    holes = {v.name: v.hole for v in (*views["train"], *views["test"])}
     order = tuple(f.name for f in posed.metadata.frames)
-    unmasked = find_unmasked(points, [holes[name] for name in order])
+    unmasked = find_unmasked(points, [covered[name] for name in order])
     return MaskedScene(tuple(views["train"]), tuple(views["test"]), points.select(unmasked), order)
+
+
+def _find_unseen(mask: MaskView) -> str:
+    if mask.unseen is None:
+        raise BadInputError(
+            f"the mask set does not say what of view {mask.name}'s mask no other view shows; run mask-authoring again"
+        )
+    return mask.unseen
 
 
 def find_unmasked(points: SparsePoints, holes: Sequence[Mask]) -> Mask:

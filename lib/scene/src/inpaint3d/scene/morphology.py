@@ -14,7 +14,7 @@ def grow(mask: Mask, radius: int) -> Mask:
     """
     if radius <= 0 or not mask.any():
         return mask.copy()
-    out, near = np.zeros_like(mask), _window_around(mask, radius)
+    out, near = np.zeros_like(mask), _find_window(mask, radius)
     out[near] = np.asarray(ndimage.distance_transform_edt(~mask[near])) < reach_of_disc(radius)
     return out
 
@@ -23,7 +23,7 @@ def shrink(mask: Mask, radius: int) -> Mask:
     """Pixels deeper than about `radius` inside the mask; the picture's border is no edge of it."""
     if radius <= 0 or mask.all() or not mask.any():
         return mask.copy()
-    out, near = np.zeros_like(mask), _window_around(mask, 1)
+    out, near = np.zeros_like(mask), _find_window(mask, 1)
     out[near] = np.asarray(ndimage.distance_transform_edt(mask[near])) > reach_of_disc(radius)
     return out
 
@@ -91,7 +91,7 @@ def part_areas(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
     return np.bincount(labels.ravel(), minlength=count + 1)
 
 
-def _window_around(mask: Mask, margin: int) -> tuple[slice, slice]:
+def _find_window(mask: Mask, margin: int) -> tuple[slice, slice]:
     """Rows and columns of the mask's bounding box and `margin` pixels around it: distances cost by the pixel."""
     spans = (np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0)))
     rows, columns = (slice(max(0, s[0] - margin), s[-1] + 1 + margin) for s in spans)

@@ -16,12 +16,12 @@ def normals_of(camera: Camera, depth: NDArray[np.floating]) -> NDArray[np.float3
         return np.zeros((*depth.shape, 3), np.float32)
     depth = np.where(np.isfinite(depth), depth, np.nan)
     points = camera.unproject(camera.pixel_centres(), depth)
-    normal = np.cross(_change(points, depth, axis=0), _change(points, depth, axis=1))
+    normal = np.cross(_measure_change(points, depth, axis=0), _measure_change(points, depth, axis=1))
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0).astype(np.float32)
 
 
-def _change(points: NDArray[np.floating], depth: NDArray[np.floating], axis: int) -> NDArray[np.floating]:
+def _measure_change(points: NDArray[np.floating], depth: NDArray[np.floating], axis: int) -> NDArray[np.floating]:
     """How points [h, w, 3] change along an axis: to the next pixel or from the one before."""
     steps, jumps = np.diff(points, axis=axis), np.abs(np.diff(depth, axis=axis))
     jumps[np.isnan(jumps)] = np.inf

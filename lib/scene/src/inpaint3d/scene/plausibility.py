@@ -111,7 +111,7 @@ def measure_completions(views: Sequence[CompletedHole]) -> float | None:
         xy, seen = correspondences(view.camera, view.depth, near.camera, near.depth, tolerance=0.05)
         seen &= view.hole
         if seen.sum() >= FEWEST_PIXELS:
-            scores.append(_psnr(view.picture[seen], sample_bilinear(near.picture, xy[seen])))
+            scores.append(_measure_psnr(view.picture[seen], sample_bilinear(near.picture, xy[seen])))
     return float(np.mean(scores)) if scores else None
 
 
@@ -120,13 +120,13 @@ def measure_baselines(train: Sequence[View], test: Sequence[View], points: Spars
     if not train or not test:
         return {}
     mean = np.mean([view.image()[::8, ::8].reshape(-1, 3).mean(0) for view in train], 0)
-    flat = [_psnr(_lattice(view)[0], mean) for view in test]
+    flat = [_measure_psnr(_sample_lattice(view)[0], mean) for view in test]
     warped = [score for view in test if (score := _warp_nearest(view, train, points)) is not None]
     found = {MEAN_COLOUR: float(np.mean(flat))}
     return found | ({WARPED: float(np.mean(warped))} if warped else {})
 
 
-def _lattice(view: View) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+def _sample_lattice(view: View) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Colours [h, w, 3] of every so many pixels of a view, and these pixels' centres [h, w, 2]."""
     step = max(1, -(-max(view.camera.width, view.camera.height) // LATTICE))
     lattice = np.s_[step // 2 :: step, step // 2 :: step]
@@ -141,13 +141,13 @@ def _warp_nearest(view: View, others: Sequence[View], points: SparsePoints) -> f
     if not inside.any():
         return None
     nearest = min(others, key=lambda other: float(np.linalg.norm(other.camera.centre - view.camera.centre)))
-    colours, pixels = _lattice(view)
+    colours, pixels = _sample_lattice(view)
     apart = np.linalg.norm(pixels[..., None, :] - xy[inside].astype(np.float32), axis=-1)
     depth = z[inside][np.argmin(apart, -1)]
     where, ahead = nearest.camera.project(view.camera.unproject(pixels, depth))
     seen = nearest.camera.inside(where, ahead)
-    return _psnr(colours[seen], sample_bilinear(nearest.image(), where[seen])) if seen.any() else None
+    return _measure_psnr(colours[seen], sample_bilinear(nearest.image(), where[seen])) if seen.any() else None
 
 
-def _psnr(truth: ArrayLike, shown: ArrayLike) -> float:
+def _measure_psnr(truth: ArrayLike, shown: ArrayLike) -> float:
     return float(-10 * np.log10(max(np.mean((np.asarray(truth) - np.asarray(shown)) ** 2), 1e-12)))

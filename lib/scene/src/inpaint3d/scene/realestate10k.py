@@ -67,7 +67,7 @@ def _read_clip(path: Path, folder: Path | None, root: Path) -> Clip:
     for number, row in enumerate(rows, start=2):
         if not row.strip():
             continue
-        timestamp, values = _numbers(row, f"{path.relative_to(root)}, line {number}")
+        timestamp, values = _read_numbers(row, f"{path.relative_to(root)}, line {number}")
         if timestamp in pictures:
             cam_from_world = values[6:].reshape(3, 4)
             rotation = cam_from_world[:, :3].T
@@ -79,7 +79,7 @@ def _read_clip(path: Path, folder: Path | None, root: Path) -> Clip:
     return Clip(path.stem, video.strip(), split, tuple(frames))
 
 
-def _numbers(row: str, where: str) -> tuple[str, NDArray[np.float64]]:
+def _read_numbers(row: str, where: str) -> tuple[str, NDArray[np.float64]]:
     timestamp, *rest = row.split()
     try:
         values = np.array([float(v) for v in rest])

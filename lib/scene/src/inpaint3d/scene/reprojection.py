@@ -28,7 +28,7 @@ def correspondences(
     xy, z_source = source.project(points)
     seen = surface & source.inside(xy, z_source)
     if source_depth is not None:
-        column, row = _pixel(source, xy, seen)
+        column, row = _find_pixel(source, xy, seen)
         own = np.asarray(source_depth, np.float64)[row, column]
         seen &= np.abs(np.where(np.isfinite(own), own, np.inf) - z_source) <= tolerance * np.abs(z_source)
     return xy, seen
@@ -44,7 +44,7 @@ def reproject_mask(
 ) -> tuple[Bools, Bools]:
     """Source's mask carried to target, [h, w], and which target pixels source can say anything of, [h, w]."""
     xy, seen = correspondences(target, target_depth, source, source_depth, tolerance)
-    column, row = _pixel(source, xy, seen)
+    column, row = _find_pixel(source, xy, seen)
     return np.asarray(mask, bool)[row, column] & seen, seen
 
 
@@ -86,7 +86,7 @@ def sparse_depth(camera: Camera, xyz: ArrayLike) -> Floats:
     return depth
 
 
-def _pixel(camera: Camera, xy: Floats, usable: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _find_pixel(camera: Camera, xy: Floats, usable: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Column and row of the pixels that hold `xy`; pixel (0, 0) stands in where it is not usable."""
     held = np.where(usable[..., None], xy, 0.0).astype(np.int64)
     return np.clip(held[..., 0], 0, camera.width - 1), np.clip(held[..., 1], 0, camera.height - 1)

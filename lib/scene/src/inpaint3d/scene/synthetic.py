@@ -59,7 +59,7 @@ def synthetic_scene(
         object_masks=masks,
         empty_images=pictures[:, 1],
         empty_depths=empty,
-        points=_sparse_points(cameras, pictures[:, 0], points, seed),
+        points=_sample_points(cameras, pictures[:, 0], points, seed),
     )
 
 
@@ -99,7 +99,7 @@ def shade(points: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
                      np.where(axis == 2, points[..., 1], points[..., 2])], -1)  # fmt: skip
     turn = np.arctan2(points[..., 1], points[..., 0]) * BALL_RADIUS
     uv = np.where((surface == _BALL)[..., None], np.stack([turn, points[..., 2]], -1), flat)
-    texture = sum(weight * _value_noise(uv / cell, surface, seed + k) for k, (cell, weight) in enumerate(_OCTAVES))
+    texture = sum(weight * _evaluate_noise(uv / cell, surface, seed + k) for k, (cell, weight) in enumerate(_OCTAVES))
     normal = np.where(surface < 3, 1.0, -1.0)[..., None] * np.eye(3)[axis]
     normal = np.where((surface == _BALL)[..., None], points / BALL_RADIUS, normal)
     light = 0.75 + 0.25 * (normal @ _LIGHT)
@@ -126,7 +126,7 @@ def _render(camera: Camera, seed: int) -> tuple[NDArray[np.float32], Floats, Flo
     return colour.astype(np.float32), full * along, empty * along, surface == _BALL
 
 
-def _value_noise(uv: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
+def _evaluate_noise(uv: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
     """Random colours at whole coordinates, smoothly in between; [*n, 3] in [0, 1]. Repeats every 256 cells."""
     lattice = np.random.default_rng(seed).random((256, 256, 3))
     cell = np.floor(uv).astype(np.int64)
@@ -141,7 +141,7 @@ def _value_noise(uv: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
     return low * (1 - v) + high * v
 
 
-def _sparse_points(cameras: list[Camera], images: NDArray[np.float32], count: int, seed: int) -> SparsePoints:
+def _sample_points(cameras: list[Camera], images: NDArray[np.float32], count: int, seed: int) -> SparsePoints:
     """Surface points behind random pixels that at least three views (or all, if fewer) see, with exact tracks."""
     rng = np.random.default_rng(seed)
     frame = rng.integers(0, len(cameras), 4 * count)

@@ -13,12 +13,12 @@ Bools = NDArray[np.bool_]
 
 def sphere(centre: ArrayLike, radius: float, *, inverted: bool = False) -> Primitive:
     """A sphere in scene units; `inverted`: the hole is all that lies outside it."""
-    return Primitive(kind="sphere", centre=_vector(centre), size=_vector([2 * radius] * 3), inverted=inverted)
+    return Primitive(kind="sphere", centre=_to_xyz(centre), size=_to_xyz([2 * radius] * 3), inverted=inverted)
 
 
 def box(centre: ArrayLike, size: ArrayLike, yaw_deg: float = 0.0, *, inverted: bool = False) -> Primitive:
     """A box of full sides `size` in scene units, turned counter-clockwise about z."""
-    return Primitive(kind="box", centre=_vector(centre), size=_vector(size), yaw_deg=float(yaw_deg), inverted=inverted)
+    return Primitive(kind="box", centre=_to_xyz(centre), size=_to_xyz(size), yaw_deg=float(yaw_deg), inverted=inverted)
 
 
 def volume_mask(camera: Camera, primitive: Primitive) -> Bools:
@@ -35,6 +35,6 @@ def volume_mask(camera: Camera, primitive: Primitive) -> Bools:
     return ~hit if primitive.inverted else hit
 
 
-def _vector(values: ArrayLike) -> Vector3:
+def _to_xyz(values: ArrayLike) -> Vector3:
     x, y, z = (float(v) for v in np.asarray(values, np.float64))
     return (x, y, z)

@@ -42,20 +42,20 @@ def emit(pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, *, su
     wanted = {RECORDER, *(spec.spec.image for spec in pipeline.stages.values())}
     if missing := sorted(wanted - set(submission.images)):
         raise ConfigurationError(f"images.yaml has no {', '.join(missing)}; run `make images`")
-    template = _template(configured, cluster, submission)
+    template = _make_template(configured, cluster, submission)
     size = cluster.spec.scenesPerWorkflow
     batches = [submission.scenes[i : i + size] for i in range(0, len(submission.scenes), size)]
     names = [f"{submission.name}{suffix}-{i:04d}" for i in range(len(batches))]
-    workflows = [_workflow(pipeline, cluster, submission, n, b) for n, b in zip(names, batches, strict=True)]
+    workflows = [_make_workflow(pipeline, cluster, submission, n, b) for n, b in zip(names, batches, strict=True)]
     account = write_service_account(cluster) if cluster.spec.createServiceAccount else []
     for workflow in workflows:
         workflow["metadata"]["annotations"] = {ASKED: digest_of([template["spec"], workflow["spec"]])}
     return [*account, *map(check_types, (template, *workflows))]
 
 
-def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission) -> Document:
+def _make_template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission) -> Document:
     body, pipeline = cluster.spec, configured.pipeline
-    nodes = [_stage(configured, cluster, submission, node) for node in pipeline.order]
+    nodes = [_make_stage(configured, cluster, submission, node) for node in pipeline.order]
     waiting = [_await(external) for external in submission.awaited]
     spec: Document = {
         "entrypoint": "scenes",
@@ -69,7 +69,13 @@ def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: 
         "podSpecPatch": json.dumps(patch_argo_containers(), sort_keys=True),
         "ttlStrategy": {"secondsAfterCompletion": body.secondsKept},
         "podGC": {"strategy": "OnPodSuccess", "deleteDelayDuration": KEPT_AFTER_SUCCESS},
-        "templates": [_scenes(pipeline), _scene(pipeline, submission), *nodes, *waiting, _record(cluster, submission)],
+        "templates": [
+            _fan_out(pipeline),
+            _make_scene(pipeline, submission),
+            *nodes,
+            *waiting,
+            _record(cluster, submission),
+        ],
     }
     if body.priorityClassName is not None:
         spec["podPriorityClassName"] = body.priorityClassName
@@ -85,7 +91,7 @@ def _template(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: 
     }
 
 
-def _workflow(
+def _make_workflow(
     pipeline: Pipeline, cluster: ClusterSpec, submission: Submission, name: str, scenes: tuple[Scene, ...]
 ) -> Document:
     externals = pipeline.spec.spec.externals
@@ -105,7 +111,7 @@ def _workflow(
     }
 
 
-def _scenes(pipeline: Pipeline) -> Document:
+def _fan_out(pipeline: Pipeline) -> Document:
     """Fan-out: one `scene` for each item of the list."""
     names = ["name", *pipeline.spec.spec.externals]
     task = {
@@ -118,13 +124,13 @@ def _scenes(pipeline: Pipeline) -> Document:
     return {"name": "scenes", "dag": {"failFast": False, "tasks": [task]}}
 
 
-def _scene(pipeline: Pipeline, submission: Submission) -> Document:
+def _make_scene(pipeline: Pipeline, submission: Submission) -> Document:
     """The DAG of one scene."""
     tasks: list[Document] = []
     for node in pipeline.order:
-        arguments = [{"name": p, "value": _source(r, submission)} for p, r in _ports(pipeline, node).items()]
+        arguments = [{"name": p, "value": _name_source(r, submission)} for p, r in _list_ports(pipeline, node).items()]
         after = sorted(pipeline.upstream(node))
-        for step in [AWAIT[e] for e in submission.awaited if f"external.{e}" in _ports(pipeline, node).values()]:
+        for step in [AWAIT[e] for e in submission.awaited if f"external.{e}" in _list_ports(pipeline, node).values()]:
             # Where several nodes read it, the first one's inputs are there before anybody is asked.
             if all(task["name"] != step for task in tasks):
                 tasks.append({"name": step, "template": step, "dependencies": sorted(pipeline.upstream(node))})
@@ -135,7 +141,7 @@ def _scene(pipeline: Pipeline, submission: Submission) -> Document:
     return {"name": "scene", "inputs": {"parameters": inputs}, "dag": {"failFast": False, "tasks": tasks}}
 
 
-def _ports(pipeline: Pipeline, node: str) -> dict[str, str]:
+def _list_ports(pipeline: Pipeline, node: str) -> dict[str, str]:
     """Parameter -> reference. A list port has a parameter for each item."""
     ports = pipeline.stages[node].spec.inputs
     found: dict[str, str] = {}
@@ -145,7 +151,7 @@ def _ports(pipeline: Pipeline, node: str) -> dict[str, str]:
     return found
 
 
-def _source(reference: str, submission: Submission) -> str:
+def _name_source(reference: str, submission: Submission) -> str:
     node, _, name = reference.partition(".")
     if node != "external":
         return f"{{{{tasks.{node}.outputs.parameters.{name}}}}}"
@@ -154,11 +160,11 @@ def _source(reference: str, submission: Submission) -> str:
     return f"{{{{inputs.parameters.{name}}}}}"
 
 
-def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission, node: str) -> Document:
+def _make_stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Submission, node: str) -> Document:
     """The template of a node: the stage's image on the digests at its ports."""
     pipeline = configured.pipeline
     stage = pipeline.stages[node]
-    ports = _ports(pipeline, node)
+    ports = _list_ports(pipeline, node)
     on_gpu = submission.device == "cuda" and stage.spec.gpu != "none"
     template = write_pod(
         cluster,
@@ -168,7 +174,7 @@ def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Sub
         args=["run", "--store", cluster.spec.store, "--invocation", INVOCATION, "--outputs", OUTPUTS],
         resources=choose_resources(stage, cluster, on_gpu=on_gpu),
     )
-    invocation = _invocation(configured, submission, node, device="cuda" if on_gpu else "cpu")
+    invocation = _make_invocation(configured, submission, node, device="cuda" if on_gpu else "cpu")
     selector = {**cluster.spec.nodeSelector, **(cluster.spec.gpu.nodeSelector if on_gpu else {})}
     template |= {
         "name": node,
@@ -182,7 +188,7 @@ def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Sub
         },
         "inputs": {
             "parameters": [{"name": p} for p in ports],
-            "artifacts": [_file("invocation", INVOCATION, invocation)],
+            "artifacts": [_make_file("invocation", INVOCATION, invocation)],
         },
         "outputs": {
             "parameters": [
@@ -195,12 +201,12 @@ def _stage(configured: ConfiguredPipeline, cluster: ClusterSpec, submission: Sub
     return template | ({"nodeSelector": selector} if selector else {})
 
 
-def _invocation(configured: ConfiguredPipeline, submission: Submission, node: str, *, device: str) -> str:
+def _make_invocation(configured: ConfiguredPipeline, submission: Submission, node: str, *, device: str) -> str:
     """The shim's invocation, with Argo's placeholders where a digest will stand."""
     pipeline = configured.pipeline
     ports = pipeline.stages[node].spec.inputs
     inputs: dict[str, Any] = {}
-    for parameter in _ports(pipeline, node):
+    for parameter in _list_ports(pipeline, node):
         value, port = f"{{{{inputs.parameters.{parameter}}}}}", parameter
         if parameter not in ports:
             port = parameter.rpartition("-")[0]
@@ -223,7 +229,7 @@ def _invocation(configured: ConfiguredPipeline, submission: Submission, node: st
     )
 
 
-def _file(name: str, path: str, data: str) -> Document:
+def _make_file(name: str, path: str, data: str) -> Document:
     # Readable by all: the stage is not root, and Argo writes the file as another user.
     return {"name": name, "path": path, "mode": 0o444, "raw": {"data": data}}
 

@@ -30,23 +30,23 @@ ANY_DIGEST = "sha256:" + "0" * 64
 
 def check(documents: list[Document], pipeline: Pipeline) -> list[str]:
     """Everything that is wrong with a WorkflowTemplate and its Workflows: `layer: where: what`. Empty: nothing is."""
-    findings = [f"types: {problem}" for d in documents if (problem := _type_problem(d)) is not None]
+    findings = [f"types: {problem}" for d in documents if (problem := _find_type_problem(d)) is not None]
     if findings:
         return findings  # the other layers read what these have not promised
     templates = {d["metadata"]["name"]: d for d in documents if d["kind"] == "WorkflowTemplate"}
     for template in templates.values():
         view = View(template)
-        findings += [f"references: {f}" for f in _references(view)]
+        findings += [f"references: {f}" for f in _check_references(view)]
         annotations = template["metadata"].get("annotations", {})
         left_out = set(json.loads(annotations.get(LEFT_OUT, "{}")))
-        findings += [f"contracts: {f}" for f in _contracts(view, pipeline.under(annotations.get(PRESET)), left_out)]
+        findings += [f"contracts: {f}" for f in _check_ports(view, pipeline.under(annotations.get(PRESET)), left_out)]
         findings += [f"policy: {f}" for f in check_policy(view, documents)]
     for workflow in (d for d in documents if d["kind"] == "Workflow"):
-        findings += [f"references: {f}" for f in _workflow(workflow, templates)]
+        findings += [f"references: {f}" for f in _check_workflow(workflow, templates)]
     return findings
 
 
-def _type_problem(document: Document) -> str | None:
+def _find_type_problem(document: Document) -> str | None:
     if document.get("kind") in ACCOUNT_KINDS:
         return None  # constant but for names, which `_may_report` holds against what uses them
     try:
@@ -56,42 +56,42 @@ def _type_problem(document: Document) -> str | None:
     return None
 
 
-def _names(holder: Document, side: str, kind: str = "parameters") -> set[str]:
+def _collect_names(holder: Document, side: str, kind: str = "parameters") -> set[str]:
     return {p["name"] for p in holder.get(side, {}).get(kind, [])}
 
 
-def _placeholders(value: Any) -> set[str]:
+def _find_placeholders(value: Any) -> set[str]:
     return set(PLACEHOLDER.findall(json.dumps(value)))
 
 
-def _workflow(workflow: Document, templates: dict[str, Document]) -> Iterator[str]:
+def _check_workflow(workflow: Document, templates: dict[str, Document]) -> Iterator[str]:
     at = workflow["metadata"]["name"]
     reference = workflow["spec"].get("workflowTemplateRef", {}).get("name")
     if reference not in templates:
         yield f"{at}: no WorkflowTemplate {reference}; there are {', '.join(templates)}"
         return
     spec: Document = templates[reference]["spec"]
-    given = _names(workflow["spec"], "arguments")
-    if given != _names(spec, "arguments"):
-        yield f"{at}: gives {sorted(given)}, but {reference} takes {sorted(_names(spec, 'arguments'))}"
-    wanted = next((_names(t, "inputs") for t in spec["templates"] if t["name"] == "scene"), set[str]())
+    given = _collect_names(workflow["spec"], "arguments")
+    if given != _collect_names(spec, "arguments"):
+        yield f"{at}: gives {sorted(given)}, but {reference} takes {sorted(_collect_names(spec, 'arguments'))}"
+    wanted = next((_collect_names(t, "inputs") for t in spec["templates"] if t["name"] == "scene"), set[str]())
     for parameter in workflow["spec"].get("arguments", {}).get("parameters", []):
         for scene in json.loads(parameter["value"]):
             if set(scene) != wanted:
                 yield f"{at}: scene {scene.get('name')} has {sorted(scene)}; wanted {sorted(wanted)}"
 
 
-def _references(view: View) -> Iterator[str]:
+def _check_references(view: View) -> Iterator[str]:
     for role in ("entrypoint", "onExit"):
         if view.spec.get(role) not in view.templates:
             yield f"{role}: no template {view.spec.get(role)}"
-    known = {f"workflow.parameters.{n}" for n in _names(view.spec, "arguments")} | GLOBAL
+    known = {f"workflow.parameters.{n}" for n in _collect_names(view.spec, "arguments")} | GLOBAL
     for name, template in view.templates.items():
-        inside = known | {f"inputs.parameters.{n}" for n in _names(template, "inputs")}
+        inside = known | {f"inputs.parameters.{n}" for n in _collect_names(template, "inputs")}
         if "dag" in template:
-            yield from _dag(view, name, template["dag"]["tasks"], inside)
+            yield from _check_dag(view, name, template["dag"]["tasks"], inside)
         else:
-            yield from (f"{name}: nothing is called {p}" for p in sorted(_placeholders(template) - inside))
+            yield from (f"{name}: nothing is called {p}" for p in sorted(_find_placeholders(template) - inside))
     volumes = {v["name"] for v in view.spec.get("volumes", [])}
     for name, template in view.containers():
         for mount in template["container"].get("volumeMounts", []):
@@ -99,7 +99,7 @@ def _references(view: View) -> Iterator[str]:
                 yield f"{name}: no volume {mount['name']}"
 
 
-def _dag(view: View, at: str, tasks: list[Document], known: set[str]) -> Iterator[str]:
+def _check_dag(view: View, at: str, tasks: list[Document], known: set[str]) -> Iterator[str]:
     graph = {t["name"]: set(cast(list[str], t.get("dependencies", []))) for t in tasks}
     if len(graph) != len(tasks):
         yield f"{at}: two tasks have one name"
@@ -114,21 +114,21 @@ def _dag(view: View, at: str, tasks: list[Document], known: set[str]) -> Iterato
     for name in order:
         before[name] = set().union(*({a} | before.get(a, set()) for a in graph.get(name, ())))
     for task in tasks:
-        yield from _task(view, f"{at}.{task['name']}", task, before[task["name"]], tasks, known)
+        yield from _check_task(view, f"{at}.{task['name']}", task, before[task["name"]], tasks, known)
 
 
-def _task(
+def _check_task(
     view: View, at: str, task: Document, before: set[str], tasks: list[Document], known: set[str]
 ) -> Iterator[str]:
     callee = view.templates.get(task.get("template", ""))
     if callee is None:
         yield f"{at}: no template {task.get('template')}; there are {', '.join(view.templates)}"
         return
-    given, wanted = _names(task, "arguments"), _names(callee, "inputs")
+    given, wanted = _collect_names(task, "arguments"), _collect_names(callee, "inputs")
     yield from (f"{at}: {callee['name']} has no input {n}" for n in sorted(given - wanted))
     yield from (f"{at}: {callee['name']} is not given its input {n}" for n in sorted(wanted - given))
-    produced = {t["name"]: _names(view.templates.get(t.get("template", ""), {}), "outputs") for t in tasks}
-    for name in sorted(_placeholders(task)):
+    produced = {t["name"]: _collect_names(view.templates.get(t.get("template", ""), {}), "outputs") for t in tasks}
+    for name in sorted(_find_placeholders(task)):
         match name.split("."):
             case ["item", *_] if "withParam" in task:
                 continue
@@ -142,17 +142,17 @@ def _task(
                     yield f"{at}: nothing is called {name}"
 
 
-def _contracts(view: View, pipeline: Pipeline, left_out: set[str]) -> Iterator[str]:
+def _check_ports(view: View, pipeline: Pipeline, left_out: set[str]) -> Iterator[str]:
     sides = {n: t.get("metadata", {}).get("annotations", {}) for n, t in view.templates.items()}
     for name, template in view.containers():
         if name in pipeline.nodes:
-            yield from _stage_template(name, template, sides[name], pipeline)
+            yield from _check_stage(name, template, sides[name], pipeline)
     scene = view.templates.get("scene", {}).get("dag", {}).get("tasks", [])
     there = {t.get("template") for t in scene} | left_out
     yield from (f"scene: no task runs {n}" for n in pipeline.order if n not in there)
     for task in scene:
         for argument in task.get("arguments", {}).get("parameters", []):
-            for name in _placeholders(argument["value"]):
+            for name in _find_placeholders(argument["value"]):
                 parts = name.split(".")
                 if parts[0] != "tasks" or parts[1] not in pipeline.nodes or task["template"] not in pipeline.nodes:
                     continue
@@ -163,7 +163,7 @@ def _contracts(view: View, pipeline: Pipeline, left_out: set[str]) -> Iterator[s
                     yield f"scene.{task['name']}: {port} takes {wanted.get(port)}, but {parts[1]} gives {offered}"
 
 
-def _stage_template(name: str, template: Document, annotations: dict[str, str], pipeline: Pipeline) -> Iterator[str]:
+def _check_stage(name: str, template: Document, annotations: dict[str, str], pipeline: Pipeline) -> Iterator[str]:
     stage = pipeline.stages[name]
     if annotations.get(f"{LABEL}/stage") != stage.id:
         yield f"{name}: is for {annotations.get(f'{LABEL}/stage')}, but this pipeline has {stage.id}"

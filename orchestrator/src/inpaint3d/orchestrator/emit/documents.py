@@ -25,21 +25,21 @@ def check_types(document: Document) -> Document:
         raise ConfigurationError(f"{kind}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
     kept = cast(Document, model.model_dump(mode="json", by_alias=True, exclude_none=True))
     # The models ignore what they do not know: a typo is what did not come back.
-    if lost := _lost(document, kept):
+    if lost := _find_lost(document, kept):
         raise ConfigurationError(f"{kind}: Argo has no field {lost}")
     return kept
 
 
-def _lost(given: Any, kept: Any, at: str = "") -> str | None:
+def _find_lost(given: Any, kept: Any, at: str = "") -> str | None:
     if isinstance(given, dict) and isinstance(kept, dict):
         for name, value in cast(Document, given).items():
             if name not in kept:
                 return f"{at}.{name}".removeprefix(".")
-            if found := _lost(value, kept[name], f"{at}.{name}"):
+            if found := _find_lost(value, kept[name], f"{at}.{name}"):
                 return found
     if isinstance(given, list) and isinstance(kept, list):
         pairs = zip(cast(list[Any], given), cast(list[Any], kept), strict=True)
-        return next((found for i, (g, k) in enumerate(pairs) if (found := _lost(g, k, f"{at}.{i}"))), None)
+        return next((found for i, (g, k) in enumerate(pairs) if (found := _find_lost(g, k, f"{at}.{i}"))), None)
     return None
 
 

@@ -34,12 +34,12 @@ class View:
 
 def check_policy(view: View, documents: list[Document]) -> Iterator[str]:
     """`where: what` of all that is wrong."""
-    yield from _policy(view)
-    yield from _policy_of_all(view)
+    yield from _check_pod_policy(view)
+    yield from _check_whole_policy(view)
     yield from _may_report(view, documents)
 
 
-def _policy_of_all(view: View) -> Iterator[str]:
+def _check_whole_policy(view: View) -> Iterator[str]:
     """What holds for every pod of the template, and for what Argo adds to it."""
     patch: Document = json.loads(view.spec.get("podSpecPatch", "{}"))
     for kind, wanted in (("initContainers", "init"), ("containers", "wait")):
@@ -93,7 +93,7 @@ def _may_report(view: View, documents: list[Document]) -> Iterator[str]:
         yield f"RoleBinding: does not give the role to {wanted}"
 
 
-def _policy(view: View) -> Iterator[str]:
+def _check_pod_policy(view: View) -> Iterator[str]:
     for name, template in view.containers():
         container: Document = template["container"]
         yield from find_unrestricted(name, container)

@@ -94,7 +94,7 @@ class Container:
             "run", "--rm", "--name", self.name, "--pull", "never", "--log-driver", "none",
             "--network", "none", "--read-only", "--tmpfs", "/tmp",  # noqa: S108 - in the container
             "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--security-opt", "label=disable",
-            *_user(self.engine),
+            *_choose_user(self.engine),
             "--env", f"{IMAGE_DIGEST}={self.digest}", "--env", "PYTHONUNBUFFERED=1",
             "--mount", _bind(self.scratch, SCRATCH),
         ]  # fmt: skip
@@ -115,7 +115,7 @@ class Container:
 
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, stop)
-        self._engine("rm", "--force", self.name)  # of a run whose own supervisor was killed
+        self._call_engine("rm", "--force", self.name)  # of a run whose own supervisor was killed
         process = subprocess.Popen(self.command(), stdin=subprocess.DEVNULL)
         while True:
             try:
@@ -125,9 +125,9 @@ class Container:
                 if asked:
                     process.terminate()
                 if asked and time.monotonic() - asked[0] > 2 * GRACE_S:
-                    self._engine("kill", self.name)
+                    self._call_engine("kill", self.name)
 
-    def _engine(self, *line: str) -> None:
+    def _call_engine(self, *line: str) -> None:
         subprocess.run([self.engine, *line], capture_output=True, check=False)
 
 
@@ -138,7 +138,7 @@ def _bind(source: Path, target: str, *flags: str) -> str:
     return line.getvalue()
 
 
-def _user(engine: str) -> list[str]:
+def _choose_user(engine: str) -> list[str]:
     """Files are written as whoever runs this; root's containers are nobody's, whom the scratch then belongs to."""
     if os.getuid() == 0:
         return ["--user", f"{STAGE_USER}:{STAGE_USER}"]
@@ -162,7 +162,7 @@ def contained(store: Store, key: Digest, invocation: Invocation, container: argp
             name=f"inpaint3d-{hex_of(digest_of([store.place, key]))[:16]}",
             memory=container.memory,
             scratch=scratch.root.resolve(),
-            inputs=_furnish(scratch, store, invocation),
+            inputs=_fill_scratch(scratch, store, invocation),
             cuda=invocation.device == "cuda",
         ).run()
         if code in ENGINE_FAILED:
@@ -175,7 +175,7 @@ def contained(store: Store, key: Digest, invocation: Invocation, container: argp
     return code
 
 
-def _furnish(scratch: Store, store: Store, invocation: Invocation) -> dict[Digest, Path]:
+def _fill_scratch(scratch: Store, store: Store, invocation: Invocation) -> dict[Digest, Path]:
     """Leave the invocation in the scratch; the folders of the inputs, which are mounted where the shim looks."""
     given = [d for ds in invocation.inputs.values() for d in ([ds] if isinstance(ds, str) else ds)]
     inputs = {digest: store.fetch(digest) for digest in given}

@@ -51,10 +51,10 @@ class ForkedProcess:
         return self.ended.result() if self.ended.done() else None
 
     def terminate(self) -> None:
-        self._signal(signal.SIGTERM)
+        self._send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        self._signal(signal.SIGKILL)
+        self._send_signal(signal.SIGKILL)
 
     def wait(self, timeout: float | None = None) -> int:
         """Its exit code, minus a signal's number; subprocess.TimeoutExpired where it has not ended by then."""
@@ -63,7 +63,7 @@ class ForkedProcess:
         except FutureTimeoutError as error:
             raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0) from error
 
-    def _signal(self, number: int) -> None:
+    def _send_signal(self, number: int) -> None:
         if self.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
@@ -82,18 +82,16 @@ class ForkServer:
     @classmethod
     def start(cls) -> Self:
         """Start a server as a process of its own."""
-        ours, theirs = _socket_pair()
+        ours, theirs = _open_socket_pair()
         line = [sys.executable, "-m", "inpaint3d.contracts.kit.fork_server"]
         with theirs:
-            process = subprocess.Popen(
-                line, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=_server_environment()
-            )
+            process = subprocess.Popen(line, stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=_make_environment())
         return cls(ours, process)
 
     def fork_server(self, threads: int) -> "ForkServer | None":
         """Another server, which has imported what most stages do, for this many threads; None: this one is gone."""
-        ours, theirs = _socket_pair()
-        environment = {**_server_environment(), **thread_environment(threads)}
+        ours, theirs = _open_socket_pair()
+        environment = {**_make_environment(), **thread_environment(threads)}
         with theirs:
             request = Request(module="", arguments=(), environment=environment, preload=PRELOADED)
             forked = self._send(request, [theirs.fileno()])
@@ -148,7 +146,7 @@ class ForkServers:
         read, write = os.pipe()
         try:
             for _ in range(2):  # a server may have been killed: then another one
-                server = self._server(threads)
+                server = self._find_server(threads)
                 if server is not None and (forked := server.fork(line, environment, write, err)) is not None:
                     return forked, read
                 self.close()
@@ -165,7 +163,7 @@ class ForkServers:
             server.close()
         self._first, self._by_threads = None, {}
 
-    def _server(self, threads: int) -> ForkServer | None:
+    def _find_server(self, threads: int) -> ForkServer | None:
         if sys.platform != "linux":  # what forks safely after which import is known of Linux alone
             return None
         if threads not in self._by_threads:
@@ -176,9 +174,9 @@ class ForkServers:
         return self._by_threads[threads]
 
 
-def _socket_pair() -> tuple[socket.socket, socket.socket]:
+def _open_socket_pair() -> tuple[socket.socket, socket.socket]:
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
-def _server_environment() -> dict[str, str]:
+def _make_environment() -> dict[str, str]:
     return {**select_environment(os.environ), "PYTHONUNBUFFERED": "1"}

@@ -24,7 +24,7 @@ def write_checkpoint(path: Path, write: Callable[[Path], None]) -> None:
     """Have a checkpoint written beside `path`, seal it, and put it there; the one before it is kept besides."""
     staged = path.with_suffix(".new")
     write(staged)
-    _seal(staged)
+    _seal_path(staged)
     fsync(staged)
     if path.is_file():
         path.replace(previous_of(path))
@@ -60,7 +60,7 @@ def is_sealed(path: Path) -> bool:
         return seal.decode("ascii", "replace") == _digest_unsealed(file, at)
 
 
-def _seal(path: Path) -> None:
+def _seal_path(path: Path) -> None:
     with path.open("r+b") as file:
         found = _find_seal(file)
         if found is None:

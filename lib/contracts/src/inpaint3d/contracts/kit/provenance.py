@@ -18,7 +18,7 @@ def describe_provenance(
     flat = [(port, d) for port, ds in components["inputs"].items() for d in ([ds] if isinstance(ds, str) else ds)]
     return {
         "_type": "https://in-toto.io/Statement/v1",
-        "subject": [{"name": port, "digest": _sha256(d)} for port, d in produced.items()],
+        "subject": [{"name": port, "digest": _describe_digest(d)} for port, d in produced.items()],
         "predicateType": "https://slsa.dev/provenance/v1",
         "predicate": {
             "buildDefinition": {
@@ -26,8 +26,8 @@ def describe_provenance(
                 "externalParameters": components["parameters"],
                 "internalParameters": {"seed": components["seed"], "device": components["device"]},
                 "resolvedDependencies": [
-                    {"name": "code", "digest": _sha256(components["code"])},
-                    *({"name": port, "digest": _sha256(d)} for port, d in flat),
+                    {"name": "code", "digest": _describe_digest(components["code"])},
+                    *({"name": port, "digest": _describe_digest(d)} for port, d in flat),
                 ],
             },
             "runDetails": {
@@ -42,5 +42,5 @@ def describe_provenance(
     }
 
 
-def _sha256(digest: Digest) -> dict[str, str]:
+def _describe_digest(digest: Digest) -> dict[str, str]:
     return {"sha256": digest.removeprefix("sha256:")}

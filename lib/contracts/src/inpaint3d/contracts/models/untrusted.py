@@ -58,7 +58,7 @@ def parse_yaml(text: str) -> tuple[Any, Lines]:
         lines: Lines = {}
         if node is None:
             return None, {(): 1}
-        _index(node, (), lines)
+        _index_lines(node, (), lines)
         return loader.construct_document(node), lines
     except yaml.YAMLError as error:
         raise _explain(error) from error
@@ -179,7 +179,7 @@ def _parse_events(text: str) -> Iterator[Any]:
     return cast(Iterator[Any], yaml.parse(text, Loader=LOADER))
 
 
-def _index(node: yaml.Node, at: Location, lines: Lines) -> None:
+def _index_lines(node: yaml.Node, at: Location, lines: Lines) -> None:
     lines[at] = node.start_mark.line + 1
     if isinstance(node, yaml.MappingNode):
         for key, value in cast(list[tuple[yaml.Node, yaml.Node]], node.value):
@@ -189,11 +189,11 @@ def _index(node: yaml.Node, at: Location, lines: Lines) -> None:
             name = str(key.value)
             if (*at, name) in lines:
                 raise UntrustedError(f"{name} stands here twice", line)
-            _index(value, (*at, name), lines)
+            _index_lines(value, (*at, name), lines)
             lines[(*at, name)] = line
     elif isinstance(node, yaml.SequenceNode):
         for i, value in enumerate(cast(list[yaml.Node], node.value)):
-            _index(value, (*at, i), lines)
+            _index_lines(value, (*at, i), lines)
 
 
 def _explain(error: yaml.YAMLError) -> UntrustedError:

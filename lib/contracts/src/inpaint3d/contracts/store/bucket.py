@@ -113,7 +113,7 @@ class BucketStore(Store):
         for entry in manifest.files:
             path = object_file(digest, entry.path)
             with self._translate_errors():
-                found = digest_of_chunks(self._stream(path))
+                found = digest_of_chunks(self._read_stream(path))
             if found != f"sha256:{entry.sha256}":
                 return f"{self.place}/{path} is not what was written (sha256 differs)"
         return None
@@ -170,7 +170,7 @@ class BucketStore(Store):
                 continue
             target.parent.mkdir(parents=True, exist_ok=True)
             with self._translate_errors(), target.open("wb") as file:
-                file.writelines(self._stream(path))
+                file.writelines(self._read_stream(path))
             if file_digest(target) != f"sha256:{entry.sha256}":
                 self.drop_work(digest)
                 self._refuse(digest, f"{self.place}/{path} is not what was written (sha256 differs)")
@@ -197,7 +197,7 @@ class BucketStore(Store):
             pages = client.list(self._bucket, folder, chunk_size=1000)
             return {entry["path"].removeprefix(folder): entry["size"] for page in pages for entry in page}
 
-    def _stream(self, path: str) -> Iterator[bytes]:
+    def _read_stream(self, path: str) -> Iterator[bytes]:
         return (bytes(chunk) for chunk in client.get(self._bucket, path).stream(CHUNK))
 
     @contextlib.contextmanager
@@ -206,14 +206,14 @@ class BucketStore(Store):
         try:
             yield
         except FileNotFoundError as error:
-            raise StorageError(f"{self.place}: {_first_line(error)}; check the bucket's name") from error
+            raise StorageError(f"{self.place}: {_shorten(error)}; check the bucket's name") from error
         except (PermissionDeniedError, UnauthenticatedError) as error:
-            raise StorageError(f"no access to {self.place} ({_first_line(error)}); check AWS_ACCESS_KEY_ID") from error
+            raise StorageError(f"no access to {self.place} ({_shorten(error)}); check AWS_ACCESS_KEY_ID") from error
         except BaseError as error:
             if NO_BUCKET in str(error):
                 raise StorageError(f"there is no bucket {self.place}; make it, or give another --store") from error
-            raise RetryableError(f"{self.place} does not answer ({_first_line(error)}); run again") from error
+            raise RetryableError(f"{self.place} does not answer ({_shorten(error)}); run again") from error
 
 
-def _first_line(error: Exception) -> str:
+def _shorten(error: Exception) -> str:
     return str(error).strip().splitlines()[0]

@@ -32,7 +32,7 @@ class Owner(NamedTuple):
 
 def this_process() -> Owner:
     """The process that asks."""
-    return Owner(*_this_machine(), os.getpid())
+    return Owner(*_identify_machine(), os.getpid())
 
 
 def parse_owner(text: str) -> Owner | None:
@@ -44,7 +44,7 @@ def parse_owner(text: str) -> Owner | None:
 
 
 @functools.cache
-def _this_machine() -> tuple[str, str, str]:
+def _identify_machine() -> tuple[str, str, str]:
     return (
         _shorten(platform.node()),
         _shorten(_read("/proc/sys/kernel/random/boot_id")),

@@ -92,7 +92,7 @@ class Workspace:
 
     def work_folder(self, key: Digest) -> Path:
         """Where a run keeps its checkpoints until it commits; the same folder after a kill."""
-        path = self._work_path(key)
+        path = self._name_work_path(key)
         if os.path.lexists(path) and not path.is_dir():
             note(f"{path} is no folder; it was moved to quarantine")
             self.discard(path)
@@ -102,12 +102,12 @@ class Workspace:
 
     def drop_work(self, key: Digest) -> None:
         """Remove the checkpoints of a run that has committed."""
-        remove(self._work_path(key))
-        self._work_path(key).with_suffix(OWNER).unlink(missing_ok=True)
+        remove(self._name_work_path(key))
+        self._name_work_path(key).with_suffix(OWNER).unlink(missing_ok=True)
 
     def abandon_work(self, key: Digest) -> None:
         """Take the checkpoints of a run out of sight: it cannot go on from them."""
-        self.discard(self._work_path(key))
+        self.discard(self._name_work_path(key))
 
     def list_litter(self) -> list[Path]:
         """What no result needs: quarantine, and checkpoints but those that another machine may be at work on."""
@@ -118,7 +118,7 @@ class Workspace:
                 found.append(path)
         return found
 
-    def _work_path(self, key: Digest) -> Path:
+    def _name_work_path(self, key: Digest) -> Path:
         return self.root / "work" / hex_of(key)
 
     @contextlib.contextmanager

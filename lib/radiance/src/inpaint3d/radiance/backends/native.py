@@ -30,7 +30,7 @@ def are_supported(*tensors: Tensor) -> bool:
     return all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in tensors)
 
 
-def _arrays(tensors: Sequence[Tensor | None]) -> list[Any]:
+def _to_arrays(tensors: Sequence[Tensor | None]) -> list[Any]:
     return [None if tensor is None else tensor.numpy() for tensor in tensors]
 
 
@@ -51,7 +51,7 @@ class _HashEncode(torch.autograd.Function):
     ) -> tuple[None, Tensor, None]:
         (points,) = ctx.saved_tensors
         (out_grad,) = grad_outputs
-        table_grad = _gradient_of(ctx.table, ctx.levels)
+        table_grad = _allocate_gradient(ctx.table, ctx.levels)
         kernels.hash_backward(
             points.numpy(),
             out_grad.contiguous().numpy(),
@@ -75,7 +75,7 @@ def hash_encode(
 _gradients = GradientMemory()
 
 
-def _gradient_of(table: Tensor, levels: Sequence[Level]) -> Tensor:
+def _allocate_gradient(table: Tensor, levels: Sequence[Level]) -> Tensor:
     """Memory for a table's gradient; zero where no level will write."""
     grad = _gradients.take(table)
     return grad if sum(level.size for level in levels) == len(table) else grad.zero_()
@@ -88,7 +88,7 @@ class _Mlp(torch.autograd.Function):
         starts = None if starts is None else starts.contiguous()
         ctx.save_for_backward(x, starts, *weights)
         out = x.new_empty(x.shape[0], weights[-1].shape[0])
-        kernels.mlp_forward(_network(x, starts, weights), out.numpy(), threads=torch.get_num_threads())
+        kernels.mlp_forward(_describe_network(x, starts, weights), out.numpy(), threads=torch.get_num_threads())
         return out
 
     @staticmethod
@@ -101,16 +101,16 @@ class _Mlp(torch.autograd.Function):
         x_grad = torch.empty_like(x) if ctx.needs_input_grad[0] else None
         starts_grad = None if starts is None else torch.empty_like(starts)
         kernels.mlp_backward(
-            _network(x, starts, weights),
+            _describe_network(x, starts, weights),
             grad_outputs[0].contiguous().numpy(),
-            _network(x_grad, starts_grad, grads),
+            _describe_network(x_grad, starts_grad, grads),
             threads=torch.get_num_threads(),
         )
         return x_grad, starts_grad, *grads
 
 
-def _network(x: Tensor | None, starts: Tensor | None, weights: Sequence[Tensor]) -> kernels.Network:
-    x_array, starts_array = _arrays((x, starts))
+def _describe_network(x: Tensor | None, starts: Tensor | None, weights: Sequence[Tensor]) -> kernels.Network:
+    x_array, starts_array = _to_arrays((x, starts))
     return kernels.Network(x_array, [weight.numpy() for weight in weights], starts_array)
 
 
@@ -137,9 +137,9 @@ class _Colours(torch.autograd.Function):
         ctx.scale = scale
         ctx.set_materialize_grads(False)
         outs = (diffuse.new_empty(diffuse.shape), diffuse.new_empty(diffuse.shape))
-        out = kernels.Colours(*_arrays(outs))
+        out = kernels.Colours(*_to_arrays(outs))
         kernels.colours_forward(
-            kernels.Logits(*_arrays(given)), _colour_map(scale), out, threads=torch.get_num_threads()
+            kernels.Logits(*_to_arrays(given)), _describe_colour_map(scale), out, threads=torch.get_num_threads()
         )
         return outs
 
@@ -152,16 +152,16 @@ class _Colours(torch.autograd.Function):
         out_grads = [None if grad is None else grad.contiguous() for grad in grad_outputs]
         grads = [None if tensor is None else torch.empty_like(tensor) for tensor in given]
         kernels.colours_backward(
-            kernels.Logits(*_arrays(given)),
-            _colour_map(ctx.scale),
-            kernels.Colours(*_arrays(out_grads)),
-            kernels.Logits(*_arrays(grads)),
+            kernels.Logits(*_to_arrays(given)),
+            _describe_colour_map(ctx.scale),
+            kernels.Colours(*_to_arrays(out_grads)),
+            kernels.Logits(*_to_arrays(grads)),
             threads=torch.get_num_threads(),
         )
         return *grads, None
 
 
-def _colour_map(scale: float) -> kernels.ColourMap:
+def _describe_colour_map(scale: float) -> kernels.ColourMap:
     return kernels.ColourMap(scale, reference.COLOUR_PADDING)
 
 
@@ -224,7 +224,7 @@ class _Composite(torch.autograd.Function):
         rays = density.shape[0]
         outs = (torch.empty_like(density), rgb.new_empty(rays, 3), rgb.new_empty(rays), rgb.new_empty(rays))
         samples = kernels.Samples(density.numpy(), rgb.numpy(), tdist.numpy())
-        kernels.composite_forward(samples, kernels.Rendered(*_arrays(outs)), threads=torch.get_num_threads())
+        kernels.composite_forward(samples, kernels.Rendered(*_to_arrays(outs)), threads=torch.get_num_threads())
         ctx.save_for_backward(density, rgb, tdist, outs[0])
         return outs
 
@@ -239,7 +239,7 @@ class _Composite(torch.autograd.Function):
             kernels.Samples(density.numpy(), rgb.numpy(), tdist.numpy()),
             weights.numpy(),
             kernels.Rendered(*(grad.contiguous().numpy() for grad in grad_outputs)),
-            kernels.SampleGradients(*_arrays(grads)),
+            kernels.SampleGradients(*_to_arrays(grads)),
             threads=torch.get_num_threads(),
         )
         return *grads, None
@@ -295,7 +295,7 @@ class _Interlevel(torch.autograd.Function):
         histograms = tuple(tensor.contiguous() for tensor in histograms)
         ctx.save_for_backward(*histograms)
         out = histograms[0].new_empty(len(histograms[0]))
-        kernels.interlevel_forward(*_histograms(histograms), out.numpy(), threads=torch.get_num_threads())
+        kernels.interlevel_forward(*_describe_histograms(histograms), out.numpy(), threads=torch.get_num_threads())
         return out
 
     @staticmethod
@@ -306,13 +306,13 @@ class _Interlevel(torch.autograd.Function):
         saved = ctx.saved_tensors
         grad, out_grad = torch.empty_like(saved[3]), grad_outputs[0].contiguous()
         kernels.interlevel_backward(
-            *_histograms(saved), out_grad.numpy(), grad.numpy(), threads=torch.get_num_threads()
+            *_describe_histograms(saved), out_grad.numpy(), grad.numpy(), threads=torch.get_num_threads()
         )
         return None, None, None, grad
 
 
-def _histograms(tensors: Sequence[Tensor]) -> tuple[kernels.Histogram, kernels.Histogram]:
-    ends, weights, other_ends, other_weights = _arrays(tensors)
+def _describe_histograms(tensors: Sequence[Tensor]) -> tuple[kernels.Histogram, kernels.Histogram]:
+    ends, weights, other_ends, other_weights = _to_arrays(tensors)
     return kernels.Histogram(ends, weights), kernels.Histogram(other_ends, other_weights)
 
 

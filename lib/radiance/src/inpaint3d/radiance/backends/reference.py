@@ -127,7 +127,7 @@ def grid_histogram(
     """
     middle = (tdist[1:] + tdist[:-1]) / 2
     points = torch.addcmul(origins[:, None], directions[:, None], middle[:, None]).reshape(-1, 3)
-    cell = _cell(unit_cube(points, cells.contraction, cells.bound), cells.side)
+    cell = _find_cell(unit_cube(points, cells.contraction, cells.bound), cells.side)
     weights = alpha_weights(cells.density[cell].reshape(len(origins), len(middle)), tdist.expand(len(origins), -1))
     larger = F.max_pool1d(weights[:, None], 2, stride=1, padding=1)[:, 0]
     return (larger[:, 1:] + larger[:, :-1]) / 2 + floor
@@ -144,12 +144,12 @@ def grid_learn(
     """Lessen, in place, the cells in which points of the cube lie to `memory` of themselves, and raise them to the
     largest density that was seen there.
     """
-    cell = _cell(cube, side)
+    cell = _find_cell(cube, side)
     density[cell] = memory * density[cell]  # equal cells are given equal numbers: no order matters
     density.scatter_reduce_(0, cell, seen, "amax")
 
 
-def _cell(cube: Float[Tensor, "n 3"], side: int) -> Int64[Tensor, " n"]:
+def _find_cell(cube: Float[Tensor, "n 3"], side: int) -> Int64[Tensor, " n"]:
     x, y, z = (cube * side).long().clamp_(0, side - 1).unbind(1)
     return (z * side + y) * side + x
 

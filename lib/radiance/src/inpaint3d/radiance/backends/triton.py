@@ -59,7 +59,7 @@ class _HashEncode(torch.autograd.Function):
         ctx.save_for_backward(points)
         out = points.new_empty(len(points), len(levels) * table.shape[1])
         if len(points):
-            layout = _layout(levels, points.device)
+            layout = _make_layout(levels, points.device)
             sizes = {"LEVELS": len(levels), "CHANNELS": table.shape[1], "BLOCK": POINTS}
             grid = (triton.cdiv(len(points), POINTS), len(levels))
             triton_kernels.hash_forward[grid](points, table, layout, out, len(points), **sizes)
@@ -73,7 +73,7 @@ class _HashEncode(torch.autograd.Function):
         (points,) = ctx.saved_tensors
         table_grad = points.new_zeros(ctx.table)
         if len(points):
-            layout = _layout(ctx.levels, points.device)
+            layout = _make_layout(ctx.levels, points.device)
             sizes = {"LEVELS": len(ctx.levels), "CHANNELS": ctx.table[1], "BLOCK": POINTS}
             grid = (triton.cdiv(len(points), POINTS), len(ctx.levels))
             out_grad = grad_outputs[0].contiguous()
@@ -82,7 +82,7 @@ class _HashEncode(torch.autograd.Function):
 
 
 @cache
-def _layout(levels: tuple[Level, ...], device: torch.device) -> Tensor:
+def _make_layout(levels: tuple[Level, ...], device: torch.device) -> Tensor:
     return torch.tensor([[int(number) for number in level] for level in levels], dtype=torch.int32, device=device)
 
 
@@ -107,8 +107,8 @@ class _Mlp(torch.autograd.Function):
         if len(x):
             grid = (triton.cdiv(len(x), ROWS),)
             triton_kernels.mlp_forward[grid](
-                x, *_three(weights), x if starts is None else starts, out, len(x), _run(x, starts),
-                PRECISION="tf32x3", **_sizes(weights, starts),
+                x, *_take_three(weights), x if starts is None else starts, out, len(x), _run(x, starts),
+                PRECISION="tf32x3", **_measure_sizes(weights, starts),
             )  # fmt: skip
         return out
 
@@ -121,16 +121,16 @@ class _Mlp(torch.autograd.Function):
         x_grad, grads = torch.empty_like(x), [torch.zeros_like(weight) for weight in weights]
         starts_grad = None if starts is None else torch.zeros_like(starts)
         if len(x):
-            grid = (min(triton.cdiv(len(x), ROWS), PROGRAMS * _multiprocessors(x.device)),)
+            grid = (min(triton.cdiv(len(x), ROWS), PROGRAMS * _count_multiprocessors(x.device)),)
             triton_kernels.mlp_backward[grid](
-                x, *_three(weights), x if starts is None else starts, grad_outputs[0].contiguous(),
-                x_grad, *_three(grads), x if starts_grad is None else starts_grad, len(x), _run(x, starts),
-                PRECISION="tf32", num_warps=8, **_sizes(weights, starts),
+                x, *_take_three(weights), x if starts is None else starts, grad_outputs[0].contiguous(),
+                x_grad, *_take_three(grads), x if starts_grad is None else starts_grad, len(x), _run(x, starts),
+                PRECISION="tf32", num_warps=8, **_measure_sizes(weights, starts),
             )  # fmt: skip
         return x_grad, starts_grad, *grads
 
 
-def _three(layers: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+def _take_three(layers: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """First, middle and last; a network of two has no middle, and what stands in for it is not looked at."""
     return layers[0], layers[1], layers[-1]
 
@@ -139,7 +139,7 @@ def _run(x: Tensor, starts: Tensor | None) -> int:
     return 1 if starts is None else len(x) // max(len(starts), 1)
 
 
-def _sizes(weights: Sequence[Tensor], starts: Tensor | None) -> dict[str, Any]:
+def _measure_sizes(weights: Sequence[Tensor], starts: Tensor | None) -> dict[str, Any]:
     widths = {"IN": weights[0].shape[1], "HIDDEN": weights[0].shape[0], "OUT": weights[-1].shape[0]}
     own = {f"N_{name}": width for name, width in widths.items()}
     padded = {f"P_{name}": max(SMALLEST, triton.next_power_of_2(width)) for name, width in widths.items()}
@@ -148,7 +148,7 @@ def _sizes(weights: Sequence[Tensor], starts: Tensor | None) -> dict[str, Any]:
 
 
 @cache
-def _multiprocessors(device: torch.device) -> int:
+def _count_multiprocessors(device: torch.device) -> int:
     return torch.cuda.get_device_properties(device).multi_processor_count if device.type == "cuda" else 1
 
 

@@ -14,7 +14,7 @@ PRIME_Z = tl.constexpr(805459861)
 
 
 @triton.jit
-def _cell(points, i, inside, axis: tl.constexpr, resolution):
+def _find_cell(points, i, inside, axis: tl.constexpr, resolution):
     """The cell's lower vertex along an axis, and how far the point lies in it."""
     scaled = tl.load(points + 3 * i + axis, mask=inside, other=0.0) * resolution.to(tl.float32)
     low = tl.minimum(tl.maximum(tl.floor(scaled), 0.0), (resolution - 1).to(tl.float32))
@@ -22,7 +22,7 @@ def _cell(points, i, inside, axis: tl.constexpr, resolution):
 
 
 @triton.jit
-def _entry(x, y, z, resolution, size, dense):
+def _find_entry(x, y, z, resolution, size, dense):
     side = resolution + 1
     straight = x + side * (y + side * z)
     mixed = x.to(tl.uint32) ^ (y.to(tl.uint32) * PRIME_Y) ^ (z.to(tl.uint32) * PRIME_Z)
@@ -38,14 +38,14 @@ def hash_forward(points, table, layout, out, n, LEVELS: tl.constexpr, CHANNELS: 
     inside = i < n
     resolution, offset = tl.load(layout + 4 * level), tl.load(layout + 4 * level + 1)
     size, dense = tl.load(layout + 4 * level + 2), tl.load(layout + 4 * level + 3)
-    x, x_far, x_near = _cell(points, i, inside, 0, resolution)
-    y, y_far, y_near = _cell(points, i, inside, 1, resolution)
-    z, z_far, z_near = _cell(points, i, inside, 2, resolution)
+    x, x_far, x_near = _find_cell(points, i, inside, 0, resolution)
+    y, y_far, y_near = _find_cell(points, i, inside, 1, resolution)
+    z, z_far, z_near = _find_cell(points, i, inside, 2, resolution)
     channel = tl.arange(0, CHANNELS)
     total = tl.zeros([BLOCK, CHANNELS], tl.float32)
     for corner in tl.static_range(8):
         up_x, up_y, up_z = corner % 2, corner // 2 % 2, corner // 4
-        entry = _entry(x + up_x, y + up_y, z + up_z, resolution, size, dense)
+        entry = _find_entry(x + up_x, y + up_y, z + up_z, resolution, size, dense)
         weight = (z_near if up_z else z_far) * (y_near if up_y else y_far) * (x_near if up_x else x_far)
         at = (offset + entry).to(tl.int64)[:, None] * CHANNELS + channel[None, :]
         total += weight[:, None] * tl.load(table + at, mask=inside[:, None], other=0.0)
@@ -63,22 +63,22 @@ def hash_backward(
     inside = i < n
     resolution, offset = tl.load(layout + 4 * level), tl.load(layout + 4 * level + 1)
     size, dense = tl.load(layout + 4 * level + 2), tl.load(layout + 4 * level + 3)
-    x, x_far, x_near = _cell(points, i, inside, 0, resolution)
-    y, y_far, y_near = _cell(points, i, inside, 1, resolution)
-    z, z_far, z_near = _cell(points, i, inside, 2, resolution)
+    x, x_far, x_near = _find_cell(points, i, inside, 0, resolution)
+    y, y_far, y_near = _find_cell(points, i, inside, 1, resolution)
+    z, z_far, z_near = _find_cell(points, i, inside, 2, resolution)
     channel = tl.arange(0, CHANNELS)
     of = i[:, None] * (LEVELS * CHANNELS) + level * CHANNELS + channel[None, :]
     grad = tl.load(out_grad + of, mask=inside[:, None], other=0.0)
     for corner in tl.static_range(8):
         up_x, up_y, up_z = corner % 2, corner // 2 % 2, corner // 4
-        entry = _entry(x + up_x, y + up_y, z + up_z, resolution, size, dense)
+        entry = _find_entry(x + up_x, y + up_y, z + up_z, resolution, size, dense)
         weight = (z_near if up_z else z_far) * (y_near if up_y else y_far) * (x_near if up_x else x_far)
         at = (offset + entry).to(tl.int64)[:, None] * CHANNELS + channel[None, :]
         tl.atomic_add(table_grad + at, weight[:, None] * grad, mask=inside[:, None], sem="relaxed")
 
 
 @triton.jit
-def _matrix(at, rows: tl.constexpr, columns: tl.constexpr, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
+def _load_matrix(at, rows: tl.constexpr, columns: tl.constexpr, ROWS: tl.constexpr, COLUMNS: tl.constexpr):
     """A weight [rows, columns], padded with zeros."""
     row, column = tl.arange(0, ROWS), tl.arange(0, COLUMNS)
     there = (row < rows)[:, None] & (column < columns)[None, :]
@@ -86,7 +86,7 @@ def _matrix(at, rows: tl.constexpr, columns: tl.constexpr, ROWS: tl.constexpr, C
 
 
 @triton.jit
-def _rows(at, i, inside, width: tl.constexpr, WIDTH: tl.constexpr):
+def _load_rows(at, i, inside, width: tl.constexpr, WIDTH: tl.constexpr):
     column = tl.arange(0, WIDTH)
     there = inside[:, None] & (column < width)[None, :]
     return tl.load(at + i[:, None] * width + column[None, :], mask=there, other=0.0)
@@ -122,23 +122,23 @@ def mlp_forward(
     i = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     inside = i < n
     hidden = tl.dot(
-        _rows(x, i, inside, N_IN, P_IN),
-        tl.trans(_matrix(first, N_HIDDEN, N_IN, P_HIDDEN, P_IN)),
+        _load_rows(x, i, inside, N_IN, P_IN),
+        tl.trans(_load_matrix(first, N_HIDDEN, N_IN, P_HIDDEN, P_IN)),
         input_precision=PRECISION,
     )
     if STARTS:
-        hidden += _rows(starts, i // run, inside, N_HIDDEN, P_HIDDEN)
+        hidden += _load_rows(starts, i // run, inside, N_HIDDEN, P_HIDDEN)
     hidden = tl.maximum(hidden, 0.0)
     if DEEP:
         hidden = tl.maximum(
             tl.dot(
                 hidden,
-                tl.trans(_matrix(middle, N_HIDDEN, N_HIDDEN, P_HIDDEN, P_HIDDEN)),
+                tl.trans(_load_matrix(middle, N_HIDDEN, N_HIDDEN, P_HIDDEN, P_HIDDEN)),
                 input_precision=PRECISION,
             ),
             0.0,
         )
-    made = tl.dot(hidden, tl.trans(_matrix(last, N_OUT, N_HIDDEN, P_OUT, P_HIDDEN)), input_precision=PRECISION)
+    made = tl.dot(hidden, tl.trans(_load_matrix(last, N_OUT, N_HIDDEN, P_OUT, P_HIDDEN)), input_precision=PRECISION)
     _put_rows(out, made, i, inside, N_OUT, P_OUT)
 
 
@@ -150,8 +150,8 @@ def mlp_backward(
     DEEP: tl.constexpr, STARTS: tl.constexpr, PRECISION: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """Gradients; those of weights and starts are added up and start at 0. Hidden rows are computed again."""
-    w_first = _matrix(first, N_HIDDEN, N_IN, P_HIDDEN, P_IN)
-    w_last = _matrix(last, N_OUT, N_HIDDEN, P_OUT, P_HIDDEN)
+    w_first = _load_matrix(first, N_HIDDEN, N_IN, P_HIDDEN, P_IN)
+    w_last = _load_matrix(last, N_OUT, N_HIDDEN, P_OUT, P_HIDDEN)
     d_first, d_last = (
         tl.zeros([P_HIDDEN, P_IN], tl.float32),
         tl.zeros([P_OUT, P_HIDDEN], tl.float32),
@@ -161,14 +161,14 @@ def mlp_backward(
     while tile * BLOCK < n:
         i = tile.to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
         inside = i < n
-        rows = _rows(x, i, inside, N_IN, P_IN)
+        rows = _load_rows(x, i, inside, N_IN, P_IN)
         hidden = tl.dot(rows, tl.trans(w_first), input_precision=PRECISION)
         if STARTS:
-            hidden += _rows(starts, i // run, inside, N_HIDDEN, P_HIDDEN)
+            hidden += _load_rows(starts, i // run, inside, N_HIDDEN, P_HIDDEN)
         hidden = tl.maximum(hidden, 0.0)
-        grad = _rows(out_grad, i, inside, N_OUT, P_OUT)
+        grad = _load_rows(out_grad, i, inside, N_OUT, P_OUT)
         if DEEP:
-            w_middle = _matrix(middle, N_HIDDEN, N_HIDDEN, P_HIDDEN, P_HIDDEN)
+            w_middle = _load_matrix(middle, N_HIDDEN, N_HIDDEN, P_HIDDEN, P_HIDDEN)
             deep = tl.maximum(tl.dot(hidden, tl.trans(w_middle), input_precision=PRECISION), 0.0)
             d_last += tl.dot(tl.trans(grad), deep, input_precision=PRECISION)
             down = tl.where(deep > 0, tl.dot(grad, w_last, input_precision=PRECISION), 0.0)

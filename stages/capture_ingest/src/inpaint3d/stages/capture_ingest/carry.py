@@ -52,7 +52,7 @@ def carry(frame: FoundFrame, folder: Path) -> Carried:
     target, original = _write_picture(frame, header, codes, opaque, folder)
     mask = None if frame.mask is None else fit_mask(frame.mask, header, hole_is_black=frame.hole_is_black)
     if mask is not None:
-        write_mask(_new(folder / "masks" / f"{frame.name}.png", frame), mask)
+        write_mask(_name_new(folder / "masks" / f"{frame.name}.png", frame), mask)
     return Carried(
         CapturedFrame(
             name=frame.name,
@@ -77,10 +77,10 @@ def _write_picture(
 
     Where it is not, the file goes along as it is, for who needs all that it holds.
     """
-    whole = header.bits == 8 and header.orientation == 1 and header.profile is None and opaque is None
+    whole = header.bits == 8 and header.orientation == 1 and header.is_srgb and opaque is None
     as_it_is = header.format in KEPT_AS_THEY_ARE and whole
     suffix = ".jpg" if as_it_is and header.format == "jpeg" else ".png"
-    target = _new(folder / "frames" / f"{frame.name}{suffix}", frame)
+    target = _name_new(folder / "frames" / f"{frame.name}{suffix}", frame)
     target.parent.mkdir(parents=True, exist_ok=True)
     if as_it_is:
         shutil.copyfile(frame.image, target)
@@ -95,7 +95,7 @@ def _write_picture(
     return target, original
 
 
-def _new(target: Path, frame: FoundFrame) -> Path:
+def _name_new(target: Path, frame: FoundFrame) -> Path:
     if target.exists():
         raise BadInputError(f"{frame.image.name}: another picture has the name {frame.name} already; rename one")
     return target

@@ -6,16 +6,23 @@ import numpy as np
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
-from inpaint3d.stages.capture_ingest.colmap_model import ListedCamera, ListedImage, count_images, has_model, read_model
+from inpaint3d.stages.capture_ingest.colmap_model import (
+    ListedCamera,
+    ListedImage,
+    count_images,
+    find_half,
+    has_model,
+    read_model,
+)
 from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
     SourceFiles,
+    find_subfolder,
     masks_for,
     name_pictures,
     numeric_order,
     one_folder,
-    pictures_below,
 )
 from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera
 
@@ -30,6 +37,17 @@ def model_folders(root: Path) -> list[Path]:
     return [folder for folder in (*numbered, sparse, root) if has_model(folder)]
 
 
+def check_halves(root: Path) -> None:
+    """BadInputError for a folder below `sparse/` with cameras and no images, or the other way round."""
+    sparse = root / "sparse"
+    for folder in [sparse, *(p for p in sparse.iterdir() if p.is_dir())] if sparse.is_dir() else []:
+        if half := find_half(folder):
+            raise BadInputError(
+                f"{half.relative_to(root)} is half of a model; put cameras and images there, both .bin or both .txt, "
+                "or remove it"
+            )
+
+
 def find(root: Path) -> Found:
     """The registered pictures with their cameras; BadInputError for a broken model or a missing picture."""
     folders = model_folders(root)
@@ -38,30 +56,38 @@ def find(root: Path) -> Found:
     sizes = {folder: count_images(folder) for folder in folders}
     folder = max(folders, key=sizes.__getitem__)  # the first of equals
     where = folder.relative_to(root).as_posix()
-    cameras, images = read_model(folder)
+    cameras, images = read_model(folder, where)
     files = SourceFiles(root)
-    paths = {image.number: _picture(files, image.name, where) for image in images}
-    frames = _frames(root, paths, cameras, images, where)
+    paths = {image.number: _find_picture(files, image.name, where) for image in images}
+    _check_once(images, paths, where)
+    frames = _match_frames(root, paths, cameras, images, where)
     notes = files.notes(where)
     if len(folders) > 1:
         others = ", ".join(f"{f.relative_to(root).as_posix()} with {n}" for f, n in sizes.items() if f != folder)
         notes.append(f"{where} is taken, the model with most pictures ({sizes[folder]}); not {others}")
-    if left := len(set(pictures_below(root / "images")) - set(paths.values())):
-        notes.append(f"{left} pictures of images/ are not in the model and left out")
     return Found("colmap", frames, ordered=one_folder(frames), notes=notes)
 
 
-def _picture(files: SourceFiles, name: str, where: str) -> Path:
+def _find_picture(files: SourceFiles, name: str, where: str) -> Path:
     if path := files.find(name, where, below=PICTURE_FOLDERS):
         return path
     raise BadInputError(f"{where}: the model names {name}, which is not in images/; put the pictures there")
 
 
-def _frames(
+def _check_once(images: list[ListedImage], paths: dict[int, Path], where: str) -> None:
+    first: dict[Path, ListedImage] = {}
+    for image in images:
+        if (other := first.setdefault(paths[image.number], image)) is not image:
+            raise BadInputError(
+                f"{where}: images {other.number} and {image.number} are both {image.name}; export the model again"
+            )
+
+
+def _match_frames(
     root: Path, paths: dict[int, Path], cameras: dict[int, ListedCamera], images: list[ListedImage], where: str
 ) -> list[FoundFrame]:
     names = name_pictures(list(paths.values()))
-    masks = masks_for(list(paths.values()), root / "masks")
+    masks = masks_for(list(paths.values()), find_subfolder(root, "masks"))
     frames: list[FoundFrame] = []
     for image in images:
         if image.camera not in cameras:
@@ -69,12 +95,12 @@ def _frames(
                 f"{where}: {image.name} has the camera {image.camera}, which is not listed; export it again"
             )
         path = paths[image.number]
-        camera = _known(path, cameras[image.camera], image, where)
+        camera = _convert_known(path, cameras[image.camera], image, where)
         frames.append(FoundFrame(names[path], path, masks.get(path), camera))
     return sorted(frames, key=lambda f: numeric_order(f.image))
 
 
-def _known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
+def _convert_known(path: Path, camera: ListedCamera, image: ListedImage, where: str) -> KnownCamera:
     largest = max(map(abs, image.quaternion))
     if not 1 / MAX_QUATERNION < largest < MAX_QUATERNION or not np.isfinite(image.quaternion).all():
         raise BadInputError(f"{where}: {image.name} has the quaternion {list(image.quaternion)}; export it again")

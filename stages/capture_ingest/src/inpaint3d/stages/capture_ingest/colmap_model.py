@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.stages.capture_ingest.lenses import PARAMETERS, check_model
+from inpaint3d.stages.capture_ingest.lenses import PARAMETERS, UnreadModelError, check_model
 
 # COLMAP's numbers (src/colmap/sensor/models.h).
 MODEL_NAMES = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
     "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
 )  # fmt: skip
+SUFFIXES = (".bin", ".txt")
 POINT_BYTES = 24
 IMAGE_FIELDS = 10
 
@@ -40,7 +41,15 @@ class ListedImage:
 
 
 def has_model(folder: Path) -> bool:
-    return any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in (".bin", ".txt"))
+    return any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in SUFFIXES)
+
+
+def find_half(folder: Path) -> Path | None:
+    """A file of a model whose other half is not there; None where there is a model, or nothing of one."""
+    if has_model(folder):
+        return None
+    halves = (folder / f"{part}{s}" for part in ("cameras", "images") for s in SUFFIXES)
+    return next((half for half in halves if half.is_file()), None)
 
 
 def _is_binary(folder: Path) -> bool:
@@ -48,30 +57,40 @@ def _is_binary(folder: Path) -> bool:
 
 
 def count_images(folder: Path) -> int:
-    """How many pictures a model holds, without reading it through."""
+    """How many pictures a model holds; 0 where its file of images is damaged."""
     if _is_binary(folder):
         with (folder / "images.bin").open("rb") as file:
             head = file.read(8)
         return struct.unpack("<Q", head)[0] if len(head) == 8 else 0
-    return len((folder / "images.txt").read_bytes().splitlines()) // 2
+    try:
+        return len(_read_images_txt(folder / "images.txt"))
+    except (ValueError, IndexError, OverflowError):
+        return 0
 
 
-def read_model(folder: Path) -> tuple[dict[int, ListedCamera], list[ListedImage]]:
-    """Cameras by number, and images; BadInputError names the file that is damaged or counts what it does not hold."""
+def read_model(folder: Path, where: str) -> tuple[dict[int, ListedCamera], list[ListedImage]]:
+    """Cameras by number, and images. `where`: the folder in the user's words.
+
+    BadInputError names the file that is damaged, counts what it does not hold, or has a camera that is not read.
+    """
     suffix, read_cameras, read_images = (
-        (".bin", _cameras_bin, _images_bin) if _is_binary(folder) else (".txt", _cameras_txt, _images_txt)
+        (".bin", _read_cameras_bin, _read_images_bin)
+        if _is_binary(folder)
+        else (".txt", _read_cameras_txt, _read_images_txt)
     )
     file = "cameras"
     try:
         cameras = read_cameras(folder / f"cameras{suffix}")
         file = "images"
         images = read_images(folder / f"images{suffix}")
+    except UnreadModelError as error:
+        raise BadInputError(f"{where}/{file}{suffix}: a camera {error}") from error
     except (struct.error, ValueError, IndexError, KeyError, OverflowError, OSError) as error:
-        raise BadInputError(f"{folder.name}/{file}{suffix} is damaged ({error}); export the model again") from error
+        raise BadInputError(f"{where}/{file}{suffix} is damaged ({error}); export the model again") from error
     return cameras, images
 
 
-def _rows(path: Path) -> tuple[list[tuple[int, str]], int | None]:
+def _read_rows(path: Path) -> tuple[list[tuple[int, str]], int | None]:
     """Lines with their numbers, without comments, and how many entries the comments say that there are."""
     lines = list(enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1))
     said = next((m for _, line in lines if (m := re.match(r"#\s*Number of \w+:\s*(\d+)", line))), None)
@@ -83,29 +102,26 @@ def _check_count(found: int, said: int | None) -> None:
         raise ValueError(f"its header counts {said} entries, but it holds {found}")
 
 
-def _cameras_txt(path: Path) -> dict[int, ListedCamera]:
-    rows, said = _rows(path)
+def _read_cameras_txt(path: Path) -> dict[int, ListedCamera]:
+    rows, said = _read_rows(path)
     listed = [line.split() for _, line in rows if line.strip()]
-    cameras = {int(r[0]): _camera(r[1], int(r[2]), int(r[3]), tuple(map(float, r[4:]))) for r in listed}
+    for row in listed:
+        check_model(row[1])
+    cameras = {int(r[0]): ListedCamera(r[1], int(r[2]), int(r[3]), tuple(map(float, r[4:]))) for r in listed}
     _check_count(len(cameras), said)
     return cameras
 
 
-def _camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ListedCamera:
-    check_model(model)
-    return ListedCamera(model, width, height, params)
-
-
-def _images_txt(path: Path) -> list[ListedImage]:
+def _read_images_txt(path: Path) -> list[ListedImage]:
     """Two lines an image: its pose and name, and its points, which may be an empty line that a tool left out."""
-    rows, said = _rows(path)
+    rows, said = _read_rows(path)
     images: list[ListedImage] = []
     points_next = False
     for number, line in rows:
         if points_next and _is_points(line):
             points_next = False
         elif line.strip():
-            images.append(_image_txt(number, line))
+            images.append(_parse_image_txt(number, line))
             points_next = True
     _check_count(len(images), said)
     _check_unique(images)
@@ -118,7 +134,7 @@ def _is_points(line: str) -> bool:
     return len(fields) % 3 == 0 and all(re.fullmatch(r"[-+.\deEinfa]+", field) for field in fields)
 
 
-def _image_txt(number: int, line: str) -> ListedImage:
+def _parse_image_txt(number: int, line: str) -> ListedImage:
     row = line.split(maxsplit=IMAGE_FIELDS - 1)
     if len(row) < IMAGE_FIELDS:
         raise ValueError(f"line {number} is neither a picture's pose and name nor its points: {line[:60]}")
@@ -132,7 +148,7 @@ def _check_unique(images: list[ListedImage]) -> None:
         raise ValueError(f"{len(images)} images have {len(numbers)} different numbers")
 
 
-def _cameras_bin(path: Path) -> dict[int, ListedCamera]:
+def _read_cameras_bin(path: Path) -> dict[int, ListedCamera]:
     cameras: dict[int, ListedCamera] = {}
     with path.open("rb") as file:
         (count,) = _unpack(file, "<Q")
@@ -146,7 +162,7 @@ def _cameras_bin(path: Path) -> dict[int, ListedCamera]:
     return cameras
 
 
-def _images_bin(path: Path) -> list[ListedImage]:
+def _read_images_bin(path: Path) -> list[ListedImage]:
     images: list[ListedImage] = []
     with path.open("rb") as file:
         (count,) = _unpack(file, "<Q")

@@ -59,6 +59,18 @@ def normalise_name(text: str) -> str:
     return unicodedata.normalize("NFC", text)
 
 
+def find_subfolder(root: Path, name: str) -> Path:
+    """A folder of `root` by its name, in whatever case it is written; the path as given where there is none."""
+    if (root / name).is_dir() or not root.is_dir():
+        return root / name
+    return next((p for p in sorted(root.iterdir()) if p.is_dir() and p.name.lower() == name), root / name)
+
+
+def picture_folder(root: Path) -> Path:
+    """`images/`, else the top."""
+    return folder if (folder := find_subfolder(root, "images")).is_dir() else root
+
+
 def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder, without its sub-folders, in numeric order."""
     return _sort_pictures(folder.iterdir()) if folder.is_dir() else []
@@ -76,7 +88,7 @@ def files_below(folder: Path, without: frozenset[str] = frozenset()) -> Iterator
             raise BadInputError(
                 f"{folder.name}/ has folders in folders beyond {MAX_DEPTH}; does a link lead in a circle?"
             )
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and name not in without)
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() not in without)
         yield from (Path(place, name) for name in sorted(names) if not name.startswith("."))
 
 
@@ -117,14 +129,14 @@ def masks_for(pictures: Sequence[Path], folder: Path) -> dict[Path, Path]:
     if not masks or not pictures:
         return {}
     shared = Path(os.path.commonpath([p.parent for p in pictures]))
-    keys = {_key(p.relative_to(shared)): p for p in pictures} | {
-        _key(p.relative_to(shared).with_suffix("")): p for p in pictures
+    keys = {_make_key(p.relative_to(shared)): p for p in pictures} | {
+        _make_key(p.relative_to(shared).with_suffix("")): p for p in pictures
     }
     found: dict[Path, Path] = {}
     strange: list[str] = []
     for mask in masks:
         listed = mask.relative_to(folder)
-        picture = keys.get(_key(listed.with_suffix("")))
+        picture = keys.get(_make_key(listed.with_suffix("")))
         if picture is None:
             strange.append(listed.as_posix())
         elif (other := found.setdefault(picture, mask)) is not mask:
@@ -139,7 +151,7 @@ def masks_for(pictures: Sequence[Path], folder: Path) -> dict[Path, Path]:
     return found
 
 
-def _key(path: PurePath) -> str:
+def _make_key(path: PurePath) -> str:
     return normalise_name(path.as_posix())
 
 

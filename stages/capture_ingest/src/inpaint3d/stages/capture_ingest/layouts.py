@@ -1,5 +1,6 @@
 """The layouts that a source can have, each told by all of its marks, and what is read of each."""
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from inpaint3d.stages.capture_ingest import (
     video,
 )
 from inpaint3d.stages.capture_ingest.config import Config
-from inpaint3d.stages.capture_ingest.found import Found
+from inpaint3d.stages.capture_ingest.found import Found, files_below, pictures_below
 
 
 @dataclass(frozen=True)
@@ -56,35 +57,54 @@ LAYOUTS = {
 }  # fmt: skip
 
 
-def detect(raw: Path) -> str:
-    """Which layout the files are those of; photos where nothing else fits."""
+def detect(raw: Path) -> list[str]:
+    """The layouts whose marks the files have, the one to be taken first; photos where nothing else fits.
+
+    BadInputError where there is half of a COLMAP model.
+    """
     poses = (raw / llff.FILE).is_file()
-    if poses and (raw / spin_nerf.FOLDER / spin_nerf.LABELS).is_dir():
-        return "spin-nerf"
-    if (raw / nerfstudio.FILE).is_file():
-        return "nerfstudio"
-    if (raw / blender.FILE).is_file():
-        return "blender"
-    # A model names its pictures; LLFF's rows, often beside one, don't.
-    if colmap.model_folders(raw):
-        return "colmap"
-    if poses:
-        return "llff"
+    colmap.check_halves(raw)
+    fits = {
+        "spin-nerf": poses and (raw / spin_nerf.FOLDER / spin_nerf.LABELS).is_dir(),
+        "nerfstudio": (raw / nerfstudio.FILE).is_file(),
+        "blender": (raw / blender.FILE).is_file(),
+        # A model names its pictures; LLFF's rows, often beside one, don't.
+        "colmap": bool(colmap.model_folders(raw)),
+        "llff": poses,
+    }
+    if marked := [layout for layout, fit in fits.items() if fit]:
+        return marked
     if realestate10k.is_layout(raw):
-        return "realestate10k"
-    if _videos(raw) and len(photos.list_photos(raw)) < 2:
-        return "video"
-    return "photos"
+        return ["realestate10k"]
+    return ["video" if _list_videos(raw) and len(photos.list_photos(raw)) < 2 else "photos"]
 
 
 def find(raw: Path, config: Config, work: Path) -> Found:
     """The frames of a source by its layout, with what is to be said of it."""
-    layout = detect(raw) if config.layout == "auto" else config.layout
+    layout, *others = detect(raw) if config.layout == "auto" else [config.layout]
     found = _find(layout, raw, config, work)
     found.notes.insert(0, _describe(found, marks_of(layout) if config.layout == "auto" else "capture-ingest.layout"))
-    if layout != "video" and (clips := _videos(raw)):
+    if others:
+        found.notes.append(
+            f"it has the marks of {', '.join(others)}, too; capture-ingest.layout={others[0]} takes it so"
+        )
+    if layout != "video" and (clips := _list_videos_below(raw)):
         found.notes.append(f"{len(clips)} videos lie beside the pictures and are left out ({clips[0].name})")
+    if layout != "realestate10k":  # it says how many frames of which clip
+        found.notes.extend(_list_left_out(raw, found))
     return found
+
+
+def _list_left_out(raw: Path, found: Found) -> list[str]:
+    """A note on pictures that are neither frames nor masks, folder by folder."""
+    views = [*found.frames, *found.truth]
+    used = {f.image for f in views} | {f.mask for f in views}
+    left = Counter(p.parent.relative_to(raw).as_posix() for p in pictures_below(raw) if p not in used)
+    if not left:
+        return []
+    folders = [f"{count} of {'the top' if place == '.' else f'{place}/'}" for place, count in left.items()]
+    shown = ", ".join(folders[:5]) + (", ..." if len(folders) > 5 else "")
+    return [f"{left.total()} pictures are neither frames nor masks and left out: {shown}"]
 
 
 def _describe(found: Found, why: str) -> str:
@@ -103,7 +123,7 @@ def marks_of(layout: str) -> str:
 
 def _find(layout: str, raw: Path, config: Config, work: Path) -> Found:
     if layout == "video":
-        return video.find(_only_video(raw), config.video_frames, work)
+        return video.find(_find_only_video(raw), config.video_frames, work)
     if layout == "spin-nerf":
         return spin_nerf.find(raw, config.spin_nerf_truth)
     if layout == "blender":
@@ -114,16 +134,20 @@ def _find(layout: str, raw: Path, config: Config, work: Path) -> Found:
     return {"photos": photos, "colmap": colmap, "nerfstudio": nerfstudio, "llff": llff}[layout].find(raw)
 
 
-def _files(raw: Path) -> list[Path]:
+def _list_files(raw: Path) -> list[Path]:
     return sorted(p for p in raw.iterdir() if p.is_file()) if raw.is_dir() else []
 
 
-def _videos(raw: Path) -> list[Path]:
-    return [p for p in _files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+def _list_videos(raw: Path) -> list[Path]:
+    return [p for p in _list_files(raw) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
 
 
-def _only_video(raw: Path) -> Path:
-    videos = _videos(raw)
+def _list_videos_below(raw: Path) -> list[Path]:
+    return [p for p in files_below(raw) if p.suffix.lower() in VIDEO_SUFFIXES]
+
+
+def _find_only_video(raw: Path) -> Path:
+    videos = _list_videos(raw)
     if len(videos) != 1:
         raise BadInputError(f"{len(videos)} videos in {describe_folder(raw)}; give exactly one")
     return videos[0]
@@ -136,4 +160,6 @@ def describe_folder(raw: Path) -> str:
         return "an empty folder"
     unread = next((p for p in sorted(raw.rglob("*")) if p.suffix.lower() in UNREADABLE_SUFFIXES), None)
     way_out = f" ({unread.suffix} is not read: {UNREADABLE_SUFFIXES[unread.suffix.lower()]})" if unread else ""
+    if clips := [p for p in _list_videos_below(raw) if p.parent != raw]:
+        way_out += f" ({clips[0].relative_to(raw)} is a video below it: give the file itself)"
     return f"a folder holding {', '.join(names[:5])}{', ...' if len(names) > 5 else ''}{way_out}"

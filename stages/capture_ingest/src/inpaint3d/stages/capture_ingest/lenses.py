@@ -23,6 +23,7 @@ SINGLE_FOCAL = frozenset(["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_R
 ASPECT_TOLERANCE = 0.01
 # Three printed decimals leave a rotation so far from orthonormal.
 ROTATION_TOLERANCE = 5e-3
+FARTHEST_CENTRE = 2.0  # picture sizes from the middle; crops of a larger picture have it outside
 # Upright from stored axes, by EXIF orientation. The others mirror, which no camera does.
 _TURNS = {
     1: np.array([[1.0, 0.0], [0.0, 1.0]]),
@@ -86,10 +87,14 @@ def fit_camera(picture: Path, lens: StatedLens, world_from_cam: ArrayLike, docum
     )
 
 
+class UnreadModelError(ValueError):
+    """A camera model that is not read, with the way out."""
+
+
 def check_model(model: str) -> None:
-    """ValueError, with the way out, for a camera model that is not read."""
+    """UnreadModelError for a camera model that is not read."""
     if model not in SUPPORTED:
-        raise ValueError(
+        raise UnreadModelError(
             f"has the model {model}, which is not read ({', '.join(SUPPORTED)} are); undistort the pictures first "
             "(COLMAP's image_undistorter), or leave the cameras out to have them estimated"
         )
@@ -105,9 +110,14 @@ def _check_lens(lens: StatedLens) -> None:
         )
     if min(lens.size) < 1:
         raise ValueError(f"is for a picture of {lens.size[0]:g}x{lens.size[1]:g} pixels")
-    focal = lens.params[:1] if lens.model in SINGLE_FOCAL else lens.params[:2]
+    count = 1 if lens.model in SINGLE_FOCAL else 2
+    focal, middle = lens.params[:count], lens.params[count : count + 2]
     if min(focal) <= 0 or max(focal) > 1e9:
         raise ValueError(f"has the focal length {min(focal):g}; it must be above 0")
+    if any(abs(c - size / 2) > FARTHEST_CENTRE * size for c, size in zip(middle, lens.size, strict=True)):
+        raise ValueError(
+            f"has its principal point at {middle[0]:g}, {middle[1]:g}, far outside {lens.size[0]:g}x{lens.size[1]:g}"
+        )
 
 
 def _check_pose(world_from_cam: ArrayLike) -> np.ndarray:

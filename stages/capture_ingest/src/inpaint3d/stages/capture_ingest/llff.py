@@ -12,7 +12,15 @@ from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.contracts.models.base import Pose
 from inpaint3d.scene.image_io import read_header
 from inpaint3d.stages.capture_ingest.axes import from_llff
-from inpaint3d.stages.capture_ingest.found import Found, FoundFrame, masks_for, name_pictures, pictures_in
+from inpaint3d.stages.capture_ingest.found import (
+    Found,
+    FoundFrame,
+    find_subfolder,
+    masks_for,
+    name_pictures,
+    picture_folder,
+    pictures_in,
+)
 from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera, stated_frame
 
 FILE = "poses_bounds.npy"
@@ -33,12 +41,14 @@ def read_cameras(root: Path, pictures: list[Path]) -> dict[Path, RowCamera]:
     """
     rows = _read_rows(root / FILE)
     if len(rows) != len(pictures):
-        raise BadInputError(f"{FILE} has {len(rows)} cameras for {len(pictures)} pictures; they must be as many")
+        raise BadInputError(
+            f"{FILE} has {len(rows)} cameras for {len(pictures)} pictures; put as many into images/, not below it"
+        )
     as_text = sorted(pictures, key=lambda p: p.name)
-    cameras = {path: _camera(row, path) for row, path in zip(rows, as_text, strict=True)}
+    cameras = {path: _make_camera(row, path) for row, path in zip(rows, as_text, strict=True)}
     if as_text == pictures or any(c.params != cameras[as_text[0]].params for c in cameras.values()):
         return {path: RowCamera(camera) for path, camera in cameras.items()}
-    others = {path: _camera(row, path).world_from_cam for row, path in zip(rows, pictures, strict=True)}
+    others = {path: _make_camera(row, path).world_from_cam for row, path in zip(rows, pictures, strict=True)}
     return {path: RowCamera(camera, others[path]) for path, camera in cameras.items()}
 
 
@@ -70,7 +80,7 @@ def _read_rows(path: Path) -> np.ndarray:
         raise BadInputError(f"{FILE} cannot be read ({error}); export it again") from error
 
 
-def _camera(row: np.ndarray, path: Path) -> KnownCamera:
+def _make_camera(row: np.ndarray, path: Path) -> KnownCamera:
     pose = row[:15].reshape(3, 5)
     pose_height, pose_width, focal = (float(v) for v in pose[:, 4])
     if not (np.isfinite([pose_height, pose_width, focal]).all() and min(pose_height, pose_width, focal) > 0):
@@ -89,10 +99,9 @@ def _camera(row: np.ndarray, path: Path) -> KnownCamera:
 
 def find(root: Path) -> Found:
     """Frames of `images/` with the cameras of the file, and masks where there are any."""
-    folder = root / "images" if (root / "images").is_dir() else root
-    pictures = pictures_in(folder)
+    pictures = pictures_in(picture_folder(root))
     cameras = read_cameras(root, pictures)
     names = name_pictures(pictures)
-    masks = masks_for(pictures, root / "masks")
+    masks = masks_for(pictures, find_subfolder(root, "masks"))
     frames = [FoundFrame(names[p], p, masks.get(p), *cameras[p]) for p in pictures]
     return Found("llff", frames, notes=describe_order(pictures, cameras))

@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
 from inpaint3d.contracts.models.untrusted import MAX_JSON_BYTES, parse_json, read_bounded
@@ -16,6 +18,7 @@ from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
     SourceFiles,
+    find_subfolder,
     masks_for,
     name_pictures,
     numeric_order,
@@ -44,17 +47,17 @@ def read_frames(files: SourceFiles, document: str) -> tuple[list[FoundFrame], li
     paths = sorted(there, key=numeric_order)
     names = name_pictures(paths)
     named = any("mask_path" in frame for frame in listed)
-    masks = {} if named else masks_for(paths, files.root / "masks")
+    masks = {} if named else masks_for(paths, find_subfolder(files.root, "masks"))
     frames: list[FoundFrame] = []
     for path in paths:
         values = {**top, **there[path]}
         mask = _mask(files, values, document)
         camera = read_camera(path, values, document)
         frames.append(FoundFrame(names[path], path, mask or masks.get(path), camera, hole_is_black=mask is not None))
-    return frames, _notes(document, listed, len(frames))
+    return frames, _make_notes(document, listed, len(frames))
 
 
-def _notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
+def _make_notes(document: str, listed: list[dict[str, Any]], taken: int) -> list[str]:
     notes: list[str] = []
     if missing := len(listed) - taken:
         notes.append(f"{document} lists {len(listed)} frames, {missing} of them are not there and left out")
@@ -84,20 +87,24 @@ def _mask(files: SourceFiles, values: dict[str, Any], document: str) -> Path | N
 
 def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamera:
     """A fisheye, OPENCV where there is distortion, else PINHOLE; BadInputError names the document and the picture."""
-    model = _model(values)
     try:
+        model = _name_model(values)
         check_model(model)
     except ValueError as error:
         raise BadInputError(f"{document}: the camera of {path.name} {error}") from error
     header = read_header(path)
     size = (header.width, header.height)
     try:
-        size = (float(values.get("w", size[0])), float(values.get("h", size[1])))
-        fx = float(values["fl_x"]) if "fl_x" in values else _focal(float(values["camera_angle_x"]), size[0])
-        fy = float(values["fl_y"]) if "fl_y" in values else _vertical(values, fx, size[1])
-        pinhole = (fx, fy, float(values.get("cx", size[0] / 2)), float(values.get("cy", size[1] / 2)))
-        k1, k2, k3, k4, p1, p2 = (float(values.get(k, 0.0)) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
-        pose = from_opengl(values["transform_matrix"])
+        size = (_read_number(values, "w", size[0]), _read_number(values, "h", size[1]))
+        fx = (
+            _read_number(values, "fl_x")
+            if "fl_x" in values
+            else _compute_focal(_read_number(values, "camera_angle_x"), size[0])
+        )
+        fy = _read_number(values, "fl_y") if "fl_y" in values else _find_vertical_focal(values, fx, size[1])
+        pinhole = (fx, fy, _read_number(values, "cx", size[0] / 2), _read_number(values, "cy", size[1] / 2))
+        k1, k2, k3, k4, p1, p2 = (_read_number(values, k, 0.0) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
+        pose = from_opengl(_check_last_row(values["transform_matrix"]))
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, ZeroDivisionError) as error:
         raise BadInputError(
             f"{document}: the camera of {path.name} is incomplete ({error!r}); export it again"
@@ -111,21 +118,37 @@ def read_camera(path: Path, values: dict[str, Any], document: str) -> KnownCamer
     return fit_camera(path, lens, pose, document)
 
 
-def _model(values: dict[str, Any]) -> str:
+def _name_model(values: dict[str, Any]) -> str:
     """The model's name in COLMAP's words; instant-ngp says by flags what is no perspective."""
     if values.get("ftheta_p0"):
         return "FTHETA (ftheta_p0)"
-    if values.get("is_fisheye"):
+    if (fisheye := values.get("is_fisheye", False)) not in (True, False):
+        raise ValueError(f"has is_fisheye {fisheye!r}; it must be true or false")
+    if fisheye:
         return "OPENCV_FISHEYE"
     return str(values.get("camera_model") or "OPENCV").upper()
 
 
-def _focal(angle: float, size: float) -> float:
+def _read_number(values: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = values[key] if default is None else values.get(key, default)
+    if isinstance(value, bool):
+        raise TypeError(f"{key} is {value}, no number")
+    return float(value)
+
+
+def _check_last_row(matrix: Any) -> Any:
+    """ValueError for a homogeneous matrix that would scale or project."""
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0):
+        raise ValueError(f"the last row of its pose is {matrix[3]}; it must be 0, 0, 0, 1")
+    return matrix
+
+
+def _compute_focal(angle: float, size: float) -> float:
     return 0.5 * size / math.tan(0.5 * angle)
 
 
-def _vertical(values: dict[str, Any], fx: float, height: float) -> float:
+def _find_vertical_focal(values: dict[str, Any], fx: float, height: float) -> float:
     """By its own angle where there is one and no focal length at all, else as the horizontal one."""
     if "fl_x" not in values and "camera_angle_y" in values:
-        return _focal(float(values["camera_angle_y"]), height)
+        return _compute_focal(_read_number(values, "camera_angle_y"), height)
     return fx

@@ -9,8 +9,10 @@ from inpaint3d.contracts.models.artifacts.capture import UNREADABLE_SUFFIXES
 from inpaint3d.stages.capture_ingest.found import (
     Found,
     FoundFrame,
+    find_subfolder,
     masks_for,
     name_pictures,
+    picture_folder,
     pictures_below,
     pictures_in,
 )
@@ -23,18 +25,14 @@ def find(root: Path) -> Found:
     folder = picture_folder(root)
     pictures = list_photos(root)
     names = name_pictures(pictures)
-    masks = masks_for(pictures, root / "masks")
+    masks = masks_for(pictures, find_subfolder(root, "masks"))
     frames = [FoundFrame(names[p], p, masks.get(p)) for p in pictures]
-    shown = pictures_in(root / "truth") if folder != root else []
+    shown = pictures_in(find_subfolder(root, "truth")) if folder != root else []
     truth_names = name_pictures(shown)
     truth = [FoundFrame(truth_names[p], p) for p in shown]
     folders = {p.parent for p in pictures}
     ordered = len(folders) <= 1 and all(any(c.isdigit() for c in p.stem) for p in pictures)
-    return Found("photos", frames, truth, ordered, list_left_out(folder, pictures))
-
-
-def picture_folder(root: Path) -> Path:
-    return root / "images" if (root / "images").is_dir() else root
+    return Found("photos", frames, truth, ordered, list_unread(folder))
 
 
 def list_photos(root: Path) -> list[Path]:
@@ -43,15 +41,10 @@ def list_photos(root: Path) -> list[Path]:
     return pictures_in(folder) or pictures_below(folder, without=BESIDE)
 
 
-def list_left_out(folder: Path, pictures: list[Path]) -> list[str]:
-    """Notes on pictures that lie there and are not taken."""
-    notes: list[str] = []
-    if below := len(set(pictures_below(folder, without=BESIDE)) - set(pictures)):
-        notes.append(f"{below} pictures in sub-folders are left out: there are pictures beside those folders")
+def list_unread(folder: Path) -> list[str]:
+    """A note on pictures of kinds that are not read."""
     unread = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in UNREADABLE_SUFFIXES]
-    if unread:
-        notes.append(
-            f"{len(unread)} pictures are of kinds that are not read and left out ({unread[0].name}: "
-            f"{UNREADABLE_SUFFIXES[unread[0].suffix.lower()]})"
-        )
-    return notes
+    if not unread:
+        return []
+    way_out = UNREADABLE_SUFFIXES[unread[0].suffix.lower()]
+    return [f"{len(unread)} pictures are of kinds that are not read and left out ({unread[0].name}: {way_out})"]

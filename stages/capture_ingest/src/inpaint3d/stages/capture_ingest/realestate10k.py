@@ -22,7 +22,7 @@ def find(root: Path, name: str | None, count: int, rows: int, folder: Path) -> F
     Raises BadInputError where the clip is not there, or there are several and none is named.
     """
     clip = _choose_clip(read_clips(root), name)
-    frames = [_frame(frame, rows, folder) for frame in clip.frames[:count]]
+    frames = [_make_frame(frame, rows, folder) for frame in clip.frames[:count]]
     left = len(clip.frames) - len(frames)
     notes = [f"clip {clip.name}: its first {len(frames)} frames, {left} more are left out"] if left else []
     return Found("realestate10k", frames, notes=notes)
@@ -41,7 +41,7 @@ def _choose_clip(clips: list[Clip], name: str | None) -> Clip:
     return chosen[0]
 
 
-def _frame(frame: ClipFrame, rows: int, folder: Path) -> FoundFrame:
+def _make_frame(frame: ClipFrame, rows: int, folder: Path) -> FoundFrame:
     image = read_image(frame.image)
     height, width = image.shape[:2]
     columns = round(width * rows / height)

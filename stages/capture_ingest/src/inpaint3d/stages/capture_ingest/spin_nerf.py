@@ -23,14 +23,14 @@ def find(root: Path, truth_count: int) -> Found:
     notes = llff.describe_order(pictures, cameras)
 
     def views(chosen: list[Path], labels: str) -> list[FoundFrame]:
-        masks = _labels_for(chosen, root / FOLDER / labels, notes)
+        masks = _match_labels(chosen, root / FOLDER / labels, notes)
         return [FoundFrame(names[p], p, masks.get(p), *cameras[p]) for p in chosen]
 
     truth, frames = views(pictures[:truth_count], TEST_LABELS), views(pictures[truth_count:], LABELS)
     return Found("spin-nerf", frames, truth, notes=notes)
 
 
-def _labels_for(pictures: list[Path], folder: Path, notes: list[str]) -> dict[Path, Path]:
+def _match_labels(pictures: list[Path], folder: Path, notes: list[str]) -> dict[Path, Path]:
     """Masks by name, or by order where not one name fits and there are as many."""
     labels = pictures_in(folder)
     stems = {p.stem for p in pictures} | {p.name for p in pictures}

@@ -20,7 +20,7 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     for name, camera, image, mask in zip(scene.names, scene.cameras, scene.images, scene.object_masks, strict=True):
         write_png(folder / "frames" / f"{name}.png", image)
         write_mask(folder / "masks" / f"{name}.png", mask)
-        frames.append(_frame(name, camera, mask=f"masks/{name}.png"))
+        frames.append(_make_frame(name, camera, mask=f"masks/{name}.png"))
     outputs.write("capture", Capture(layout="photos", ordered=True, frames=tuple(frames)))
 
     empty = synthetic_scene(3, *SIZE, arc_deg=70.0)
@@ -29,12 +29,12 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
     for i, (camera, image) in enumerate(zip(empty.cameras, empty.empty_images, strict=True)):
         name = f"truth_{i:03d}"
         write_png(folder / "frames" / f"{name}.png", np.asarray(image))
-        frames.append(_frame(name, camera, mask=None))
+        frames.append(_make_frame(name, camera, mask=None))
     outputs.write("truth", Truth(frames=tuple(frames)))
     ctx.progress(1, 1, "stub")
 
 
-def _frame(name: str, camera: Camera, mask: str | None) -> CapturedFrame:
+def _make_frame(name: str, camera: Camera, mask: str | None) -> CapturedFrame:
     known = KnownCamera(
         model="PINHOLE", params=(camera.fx, camera.fy, camera.cx, camera.cy), world_from_cam=camera.pose
     )

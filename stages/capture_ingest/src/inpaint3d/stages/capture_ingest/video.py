@@ -13,6 +13,7 @@ from inpaint3d.stages.capture_ingest.found import Found, FoundFrame
 
 EVEN_SIDE = 320  # sharpness is compared on a small copy: noise of a large one would win
 STILL = 0.002  # mean change of grey, in [0, 1], below which a frame shows nothing new: sensor noise, compression
+WHITE = 203  # cd/m2; what FFmpeg's scaler, in OpenCV's reader, makes white (ITU-R BT.2408)
 JUMP = 5.0  # median changes; a cut or a flash counts no more than this
 
 Bytes = NDArray[np.uint8]
@@ -20,7 +21,7 @@ Bytes = NDArray[np.uint8]
 
 def find(path: Path, count: int, folder: Path) -> Found:
     """Choose at most `count` frames and write them below `folder`; BadInputError where the video cannot be decoded."""
-    sharpness, change = _look_through(path)
+    sharpness, change, bits = _look_through(path)
     if len(sharpness) < 2:
         raise BadInputError(
             f"{path.name} has {len(sharpness)} frames that can be decoded; give a video of a walk around"
@@ -36,6 +37,11 @@ def find(path: Path, count: int, folder: Path) -> Found:
         f"{len(frames)} of {len(sharpness)} frames: the sharpest of stretches over which the picture changes as much; "
         f"{resting} change nothing"
     ]
+    if bits > 8:
+        notes.append(
+            f"{bits} bits a channel: where {path.name} says that it is HDR (PQ, HLG), light of {WHITE} cd/m2 becomes "
+            "white and brighter light is clipped; where it says nothing, its codes are taken as SDR"
+        )
     return Found("video", frames, ordered=True, notes=notes)
 
 
@@ -54,19 +60,29 @@ def choose_frames(sharpness: NDArray[np.float64], change: NDArray[np.float64], c
     return order[first].tolist()
 
 
-def _look_through(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of every frame, the variance of its Laplacian, and its mean absolute difference from the one before (grey)."""
+def _look_through(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Of every frame, the variance of its Laplacian, and its mean absolute difference from the one before (grey).
+
+    And the bits of a channel.
+    """
     sharpness: list[float] = []
     change: list[float] = []
     before: Bytes | None = None
     reader = cv2.VideoCapture(str(path))
-    while (picture := _next(reader)) is not None:
+    while (picture := _read_next(reader)) is not None:
         grey = _shrink(picture)
         sharpness.append(float(cv2.Laplacian(grey, cv2.CV_32F).var()))
         change.append(0.0 if before is None else float(cv2.norm(grey, before, cv2.NORM_L1)) / grey.size / 255)
         before = grey
+    bits = _read_bits(reader)
     reader.release()
-    return np.array(sharpness), np.array(change)
+    return np.array(sharpness), np.array(change), bits
+
+
+def _read_bits(reader: cv2.VideoCapture) -> int:
+    """Bits of a channel; FFmpeg tags planar formats of more than 8 bits "Y3", a number for the layout, the bits."""
+    tag = int(reader.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)).to_bytes(8, "little", signed=True)[:4]
+    return tag[3] if tag.startswith(b"Y3") and 8 < tag[3] <= 16 else 8
 
 
 def _shrink(picture: Bytes) -> Bytes:
@@ -75,7 +91,7 @@ def _shrink(picture: Bytes) -> Bytes:
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _next(reader: cv2.VideoCapture) -> Bytes | None:
+def _read_next(reader: cv2.VideoCapture) -> Bytes | None:
     good, picture = reader.read()
     return np.asarray(picture, np.uint8) if good else None
 

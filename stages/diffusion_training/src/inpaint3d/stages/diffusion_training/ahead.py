@@ -55,7 +55,7 @@ class MadeByWorkers(Generic[T]):
         self.loader: Iterable[T] = DataLoader(
             _Made(make, indices),
             batch_size=None,
-            collate_fn=_as_it_is,
+            collate_fn=_keep_as_is,
             num_workers=workers,
             prefetch_factor=2,
             pin_memory=torch.cuda.is_available(),
@@ -96,5 +96,5 @@ class _Made(Dataset[T], Generic[T]):
         return self.make(self.indices[index])
 
 
-def _as_it_is(made: T) -> T:
+def _keep_as_is(made: T) -> T:
     return made

@@ -62,7 +62,7 @@ def write_corpus(folder: Path, out: Path, *, held_out: float = 0.1, every: int =
     if out.exists():
         raise BadInputError(f"{out} is there already; remove it or name another folder")
     found = list(
-        _clip_frames(folder, held_out, every) if next(camera_files(folder), None) else _loose_pictures(folder, held_out)
+        _find_frames(folder, held_out, every) if next(camera_files(folder), None) else _find_pictures(folder, held_out)
     )
     if not found:
         raise BadInputError(f"no pictures in {folder}; give a folder of pictures, or RealEstate10k with its frames")
@@ -75,14 +75,14 @@ def write_corpus(folder: Path, out: Path, *, held_out: float = 0.1, every: int =
     return pictures
 
 
-def _clip_frames(folder: Path, held_out: float, every: int) -> Iterator[Found]:
+def _find_frames(folder: Path, held_out: float, every: int) -> Iterator[Found]:
     for clip in read_clips(folder):
         split = clip.split or _split(clip.video, held_out)
         for frame in clip.frames[::every]:
             yield Found(f"{clip.name}_{frame.image.stem}", frame.image, clip.video, split)
 
 
-def _loose_pictures(folder: Path, held_out: float) -> Iterator[Found]:
+def _find_pictures(folder: Path, held_out: float) -> Iterator[Found]:
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.suffix.lower() in PICTURE_SUFFIXES):
         parts = path.relative_to(folder).parts
         scene = parts[0]

@@ -63,7 +63,7 @@ def known_pictures(
             raise BadInputError(f"frame {view.name} has no mask in the mask set; re-run mask-authoring on this capture")
         size = (view.camera.width, view.camera.height)
         hole = read_mask(masks.root / mask_of[view.name], size)
-        sets[view.split].append(_known(view.name, view.image(), hole, hole | ~view.valid()))
+        sets[view.split].append(_make_known(view.name, view.image(), hole, hole | ~view.valid()))
     training, held_out = sets["train"], sets["test"]
     if not held_out:
         held_out = training[::HELD_OUT_EVERY]
@@ -108,7 +108,7 @@ def read_all(pictures: Sequence[Picture]) -> list[KnownPicture]:
         return list(pool.map(lambda p: p.read() if isinstance(p, StoredPicture) else p, pictures))
 
 
-def _known(name: str, image: Image, hole: Mask, unknown: Mask) -> KnownPicture:
+def _make_known(name: str, image: Image, hole: Mask, unknown: Mask) -> KnownPicture:
     colour = image * 2 - 1
     colour[unknown] = 0
     return KnownPicture(name, colour, unknown, hole)
@@ -133,7 +133,7 @@ class Cropper:
         known = (picture.read() if isinstance(picture, StoredPicture) else picture for picture in pictures)
         crops = [self._crop(picture, rng) for picture in known]
         colour, unknown = (np.stack(parts) for parts in zip(*crops, strict=True))
-        hole = np.stack([self._hole(rng) for _ in pictures]) | unknown
+        hole = np.stack([self._draw_hole(rng) for _ in pictures]) | unknown
         return Batch(
             image=torch.from_numpy(colour).permute(0, 3, 1, 2).contiguous(),
             hole=torch.from_numpy(hole)[:, None].float(),
@@ -163,24 +163,24 @@ class Cropper:
         y, x = (int(rng.integers(extent - side + 1)) for extent in (height, width))
         window = np.s_[y : y + side, x : x + side]
         flip = np.s_[:, ::-1] if rng.random() < 0.5 else np.s_[:]
-        unknown = self._resized(picture.unknown[window].astype(np.float32)) > 0
-        colour = self._resized(picture.cut(window))
+        unknown = self._resize(picture.unknown[window].astype(np.float32)) > 0
+        colour = self._resize(picture.cut(window))
         return np.ascontiguousarray(colour[flip]), np.ascontiguousarray(unknown[flip])
 
-    def _resized(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _resize(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
         # INTER_AREA is an average when it shrinks, but when it enlarges little better than repeating pixels.
         method = cv2.INTER_AREA if array.shape[0] >= self.size else cv2.INTER_LINEAR
         return np.asarray(cv2.resize(array, (self.size, self.size), interpolation=method), np.float32)
 
-    def _hole(self, rng: np.random.Generator) -> Mask:
+    def _draw_hole(self, rng: np.random.Generator) -> Mask:
         shares = {"rectangles": self.mix.rectangles, "strokes": self.mix.strokes, "blobs": self.mix.blobs}
         drawn = {kind: share for kind, share in shares.items() if share > 0}
         if not drawn or (self.shapes and rng.random() < self.mix.own):
-            return self._moved_shape(rng)
+            return self._move_shape(rng)
         total = sum(drawn.values())
         return random_masks(1, self.size, rng, {kind: share / total for kind, share in drawn.items()})[0]
 
-    def _moved_shape(self, rng: np.random.Generator) -> Mask:
+    def _move_shape(self, rng: np.random.Generator) -> Mask:
         """The shape of one of the capture's masks, moved, a quarter to three quarters of the square large."""
         shape = self.shapes[int(rng.integers(len(self.shapes)))]
         scale = rng.uniform(0.25, 0.75) * self.size / max(shape.shape)

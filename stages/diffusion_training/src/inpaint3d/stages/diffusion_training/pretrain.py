@@ -51,7 +51,7 @@ def main() -> None:
     torch.set_num_threads(1)
     device = join_ranks(options.device)
     try:
-        pretrain(options.corpus, options.out, _config(options.config), options.seed, options.prior, device)
+        pretrain(options.corpus, options.out, _read_config(options.config), options.seed, options.prior, device)
     except (Inpaint3dError, OSError) as error:
         failure = from_os_error(error) if isinstance(error, OSError) else error
         sys.stderr.write(f"pretrain: {failure.kind}: {failure}\n")
@@ -114,7 +114,7 @@ def pretrain(
     (prior / MANIFEST).write_bytes(canonical_json(manifest.dump()))
 
 
-def _config(path: Path | None) -> Config:
+def _read_config(path: Path | None) -> Config:
     try:
         return Config.model_validate(load_yaml(path)[0] if path else {})
     except ValidationError as error:

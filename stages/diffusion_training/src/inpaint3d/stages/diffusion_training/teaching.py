@@ -99,14 +99,14 @@ def train(
     for batches in steps:
         losses = [
             partial(denoising_loss, batch=batch.to(ctx.device), generator=generator, t_range=config.t_range)
-            for batch, generator in zip(batches, _noise_generators(config, ctx, state.step), strict=True)
+            for batch, generator in zip(batches, _make_noise_generators(config, ctx, state.step), strict=True)
         ]
         rate = rate_after_warm_up(peak, state.step, config.steps, config.warm_up)
         loss = train_step(state, *losses, learning_rate=rate, ema=config.ema)
         if not np.isfinite(loss):
             count_lost_step(state, ctx)
         if state.step % every == 0 or state.step == config.steps:
-            state.close_row(_held_out_loss(state, config, lesson.exam))
+            state.close_row(_measure_held_out_loss(state, config, lesson.exam))
             step, mean, held_out = state.curve[-1]
             ctx.record(
                 "training_curve", step=step, loss=mean, held_out_loss=held_out, waited_s=round(steps.waited_s, 3)
@@ -126,7 +126,7 @@ def draw_batches(lesson: Lesson, config: Config, seed: int, parts: Sequence[int]
     return batches
 
 
-def _noise_generators(config: Config, ctx: Context, step: int) -> list[torch.Generator]:
+def _make_noise_generators(config: Config, ctx: Context, step: int) -> list[torch.Generator]:
     """What the noise of each part of a step that is this rank's is drawn from, on the device."""
     return [step_generators(ctx.seed, step, part, ctx.device)[1] for part in own_parts(config.parts)]
 
@@ -160,7 +160,7 @@ def _draw_pictures(lesson: Lesson, config: Config, rng: np.random.Generator) -> 
     ]
 
 
-def _held_out_loss(state: TrainingState, config: Config, exam: Batch) -> float:
+def _measure_held_out_loss(state: TrainingState, config: Config, exam: Batch) -> float:
     """The loss of the averaged weights on the exam, with the same noise every time."""
     generator = torch.Generator().manual_seed(EXAM_SEED)
     with torch.no_grad():
@@ -178,11 +178,11 @@ def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, floa
     figures = {"crops": float(len(image))}
     for name, filled in fill_each_way(prior, image, hole, generator, steps=config.sample_steps).items():
         figures[f"hole_psnr_{name}"] = float(hole_psnr(filled, image, region).mean())
-        figures[f"lpips_{name}"] = _lpips(torch.where(region > 0, filled, image), image)
+        figures[f"lpips_{name}"] = _measure_lpips(torch.where(region > 0, filled, image), image)
     return figures
 
 
 @torch.no_grad()
-def _lpips(filled: Tensor, truth: Tensor) -> float:
+def _measure_lpips(filled: Tensor, truth: Tensor) -> float:
     pairs = zip(enlarge(filled).split(1), enlarge(truth).split(1), strict=True)
     return float(np.mean([float(load("vgg", truth.device).difference(a, b)) for a, b in pairs]))

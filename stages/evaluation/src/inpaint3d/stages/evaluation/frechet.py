@@ -17,9 +17,9 @@ def frechet_distance(a: Features, b: Features) -> float:
     for name, rows in (("first", a), ("second", b)):
         if len(rows) < 2:
             raise ValueError(f"a Frechet distance needs at least 2 vectors in each set; the {name} has {len(rows)}")
-    centred_a, centred_b = (_centre(rows) for rows in (a, b))
+    centred_a, centred_b = (_subtract_mean(rows) for rows in (a, b))
     between = np.sum((a.mean(0) - b.mean(0)) ** 2)
-    root_trace = np.linalg.svd(_products(centred_a, centred_b), compute_uv=False).sum()
+    root_trace = np.linalg.svd(_multiply_rows(centred_a, centred_b), compute_uv=False).sum()
     return float(max(0.0, between + np.sum(centred_a**2) + np.sum(centred_b**2) - 2.0 * root_trace))
 
 
@@ -34,7 +34,7 @@ def kernel_distance(a: Features, b: Features) -> float:
         raise ValueError(f"a kernel distance needs at least 2 vectors in each set; there are {n} and {m}")
 
     def kernel(x: Features, y: Features) -> NDArray[np.float64]:
-        return (_products(x, y) / x.shape[1] + 1.0) ** 3
+        return (_multiply_rows(x, y) / x.shape[1] + 1.0) ** 3
 
     within_a, within_b = kernel(a, a), kernel(b, b)
     # a vector paired with itself is what would make the estimate biased
@@ -43,10 +43,10 @@ def kernel_distance(a: Features, b: Features) -> float:
     return float(mean_a + mean_b - 2.0 * kernel(a, b).mean())
 
 
-def _products(x: Features, y: Features) -> NDArray[np.float64]:
+def _multiply_rows(x: Features, y: Features) -> NDArray[np.float64]:
     """X y^T, row by row: a matrix product is shared out over threads, and each share rounds by itself."""
     return np.array([[np.sum(a * b) for b in y] for a in x])
 
 
-def _centre(rows: Features) -> Features:
+def _subtract_mean(rows: Features) -> Features:
     return (rows - rows.mean(0)) / np.sqrt(len(rows) - 1)

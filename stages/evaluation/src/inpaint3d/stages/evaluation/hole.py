@@ -26,7 +26,7 @@ def gradient_ratio(image: NDArray[np.float32], mask: Mask, ring: Mask) -> float 
     Energy is the mean square of forward differences of the luma; only differences with both pixels in a
     region count. None where either region holds no such pair, or the surround is perfectly flat.
     """
-    inside, around = _energy(image, mask), _energy(image, ring)
+    inside, around = _measure_energy(image, mask), _measure_energy(image, ring)
     if inside is None or not around:
         return None
     return inside / around
@@ -37,7 +37,7 @@ def gradient_share(image: NDArray[np.float32], truth: NDArray[np.float32], mask:
 
     None where the mask holds no two neighbouring pixels, or the truth is perfectly flat.
     """
-    made, real = _energy(image, mask), _energy(truth, mask)
+    made, real = _measure_energy(image, mask), _measure_energy(truth, mask)
     return made / real if made is not None and real else None
 
 
@@ -53,7 +53,7 @@ def reprojection_figures(
     return {name: float(apart[region].mean()) for name, region in regions.items() if region.any()}
 
 
-def _energy(image: NDArray[np.float32], region: Mask) -> float | None:
+def _measure_energy(image: NDArray[np.float32], region: Mask) -> float | None:
     luma = image.astype(np.float64) @ np.array([0.299, 0.587, 0.114])
     across, down = np.diff(luma, axis=1) ** 2, np.diff(luma, axis=0) ** 2
     both_across, both_down = region[:, 1:] & region[:, :-1], region[1:] & region[:-1]

@@ -22,39 +22,39 @@ _LIMITS = (
 def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: bool) -> list[str]:
     """Sentences on what is weak for the method `first`, then the limits of the figures."""
     found: list[str] = []
-    box = _values(done, names.BOX, "psnr")
+    box = _collect_values(done, names.BOX, "psnr")
     if names.MEAN_SURROUND in box and box[first] <= box[names.MEAN_SURROUND]:
         found.append(
             f"Weak: {first} does not beat a hole filled with the mean colour of its surround "
             f"({box[first]:.2f} against {box[names.MEAN_SURROUND]:.2f} dB)."
         )
-    perceived = _values(done, names.BOX, "lpips_vgg")
+    perceived = _collect_values(done, names.BOX, "lpips_vgg")
     if CONTROL in perceived and first != CONTROL and perceived[first] >= perceived[CONTROL]:
         found.append(
             f"Weak: by LPIPS {first} adds nothing to the same steps of {CONTROL}: {perceived[first]:.3f} "
             f"against {perceived[CONTROL]:.3f} (PSNR {box[first]:.2f} against {box[CONTROL]:.2f} dB)."
         )
-    known = _values(done, names.HELD_OUT, "psnr")
+    known = _collect_values(done, names.HELD_OUT, "psnr")
     for baseline in (names.MEAN_COLOUR, names.WARPED):
         if baseline in known and known[first] <= known[baseline]:
             found.append(
                 f"Weak: outside the mask {first} does not beat {baseline} on held-out photos "
                 f"({known[first]:.2f} against {known[baseline]:.2f} dB)."
             )
-    crops = _values(done, prior.PRIOR, "lpips_vgg")
+    crops = _collect_values(done, prior.PRIOR, "lpips_vgg")
     if prior.WIRED in crops and crops[prior.TUNED] >= crops[prior.WIRED]:
         found.append(
             f"Weak: fine-tuning the prior on this capture did not help it on held-out crops (LPIPS "
             f"{crops[prior.WIRED]:.3f} before, {crops[prior.TUNED]:.3f} after)."
         )
-    opaque = _values(done, names.STATISTICS, "opaque_share").get(first)
+    opaque = _collect_values(done, names.STATISTICS, "opaque_share").get(first)
     if opaque is not None and opaque < 0.95:
         found.append(f"Weak: {1 - opaque:.0%} of the hole's pixels are less than 95 % opaque; fog or gaps remain.")
-    ratio = _values(done, names.STATISTICS, "gradient_ratio").get(first)
+    ratio = _collect_values(done, names.STATISTICS, "gradient_ratio").get(first)
     if ratio is not None and not 0.4 <= ratio <= 2.5:
         look = "blurred" if ratio < 0.4 else "noisy"
         found.append(f"Weak: the filling looks {look} (gradient energy {ratio:.2f} of its surround's).")
-    between = _values(done, names.VARIETY, "lpips_between").get(names.EACH_PAIR)
+    between = _collect_values(done, names.VARIETY, "lpips_between").get(names.EACH_PAIR)
     if between is not None and between < VISIBLY_APART:
         found.append(
             f"Weak: the seeds differ little (LPIPS {between:.3f} between two of them): most of the hole is known to "
@@ -71,6 +71,6 @@ def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, tru
     return [*found, *_LIMITS]
 
 
-def _values(done: Sequence[Protocol], protocol: str, figure: str) -> dict[str, float]:
+def _collect_values(done: Sequence[Protocol], protocol: str, figure: str) -> dict[str, float]:
     metrics: list[Metric] = [m for p in done if p.name == protocol for m in p.metrics]
     return {m.method: m.value for m in metrics if m.name == figure}

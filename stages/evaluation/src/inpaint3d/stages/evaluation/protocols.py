@@ -113,8 +113,8 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         return []
     sets = set_distances(crops, truths, bench.device) if config.perceptual and len(truths) >= 2 else []
     return [
-        Protocol(name=BOX, description=_box_text(bench, len(truths)), metrics=(*bench.scores.means(BOX), *sets)),
-        Protocol(name=HOLE, description=_hole_text(len(truths)), metrics=tuple(bench.scores.means(HOLE))),
+        Protocol(name=BOX, description=_describe_box(bench, len(truths)), metrics=(*bench.scores.means(BOX), *sets)),
+        Protocol(name=HOLE, description=_describe_hole(len(truths)), metrics=tuple(bench.scores.means(HOLE))),
     ]
 
 
@@ -235,7 +235,7 @@ def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         if not pairs or box is None or not bench.check_finite(renders, photo.name):
             continue
         crops = {label: np.ascontiguousarray(maps["rgb"][box.slices]) for label, maps in renders.items()}
-        rows = {f"{a} | {b}": _mean_difference(crops[a], crops[b], photo.hole[box.slices], bench) for a, b in pairs}
+        rows = {f"{a} | {b}": _measure_difference(crops[a], crops[b], photo.hole[box.slices], bench) for a, b in pairs}
         rows[EACH_PAIR] = {n: float(np.mean([f[n] for f in rows.values()])) for n in next(iter(rows.values()))}
         for label, figures in rows.items():
             bench.scores.add(VARIETY, label, photo.name, figures)
@@ -253,7 +253,7 @@ def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
     ]
 
 
-def _mean_difference(one: Image, other: Image, hole: np.ndarray, bench: Bench) -> dict[str, float]:
+def _measure_difference(one: Image, other: Image, hole: np.ndarray, bench: Bench) -> dict[str, float]:
     figures = {"colour_between": float(np.abs(one - other)[hole].mean())}
     if bench.config.perceptual:
         figures["lpips_between"] = lpips.load("vgg", bench.device).distance(one, other)
@@ -296,7 +296,7 @@ def ring_width(config: Config, width: int, height: int) -> int:
     return max(2, round(config.ring * max(width, height)))
 
 
-def _box_text(bench: Bench, n: int) -> str:
+def _describe_box(bench: Bench, n: int) -> str:
     config = bench.config
     return (
         f"{n} views that show what is really behind the hole, at most {config.render_longest_side} px a "
@@ -311,5 +311,5 @@ def _box_text(bench: Bench, n: int) -> str:
     )
 
 
-def _hole_text(n: int) -> str:
+def _describe_hole(n: int) -> str:
     return f"The same {n} views; only pixels inside the mask itself."

@@ -52,7 +52,7 @@ def write_report(path: Path, report: Report) -> None:
         "inpaint3d.stages.evaluation",
         "report.html.j2",
         report=report,
-        tables=[_table(p) for p in report.protocols],
+        tables=[_make_table(p) for p in report.protocols],
         chart=line_chart(
             [Line(c.label, c.points) for c in report.curves], "training step", "held-out PSNR, dB", min_y_span=0.5
         ),
@@ -86,7 +86,7 @@ class _Cell:
     best: bool
 
 
-def _table(protocol: Protocol) -> dict[str, object]:
+def _make_table(protocol: Protocol) -> dict[str, object]:
     """Rows by method and columns by figure, as text; a figure that a method lacks is a dash."""
     names = [n for n in KINDS if any(m.name == n for m in protocol.metrics)]
     winners = find_best(protocol.metrics)

@@ -64,7 +64,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
         raise BadInputError("evaluation needs at least one radiance field; wire one to its input radiance-fields")
 
     photos = _load_photos(capture, masks, config.render_longest_side)
-    truths = _truths(truth, masks, config)
+    truths = _choose_truths(truth, masks, config)
     train = [p for p in photos if p.split == "train"]
     test = choose_evenly([p for p in photos if p.split == "test"], config.held_out_views)
     # Statistics of the hole reuse the renders of held-out views where there are any.
@@ -72,7 +72,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
 
     whole = len({p.name for p in test + shown}) + config.neighbour_views + min(len(truths), config.picture_views)
     steps = len(truths) + len(methods) * whole + 1
-    bench = Bench(methods, config, tick=_counter(ctx, steps))
+    bench = Bench(methods, config, tick=_make_counter(ctx, steps))
     points = load_points(capture.path(capture.metadata.points))
     done = [
         *score_against_truth(bench, truths),
@@ -86,20 +86,20 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
 
     folder = outputs.folder("evaluation")
     (folder / "pictures").mkdir()
-    contact = _contact(bench, photos, capture, masks, folder)
+    contact = _make_contact_strip(bench, photos, capture, masks, folder)
     strips = [
-        *_strips(bench, choose_evenly(truths, config.picture_views), folder, "truth"),
-        *_strips(bench, choose_evenly(shown, config.picture_views), folder, "photo"),
+        *_make_strips(bench, choose_evenly(truths, config.picture_views), folder, "truth"),
+        *_make_strips(bench, choose_evenly(shown, config.picture_views), folder, "photo"),
     ]
     bench.scores.write(folder / "per_view.csv")
     ctx.non_finite.update(bench.non_finite)
     report = Report(
         title="Inpainted scene: evaluation",
-        hole=_hole_in_words(masks.metadata, len(photos)),
+        hole=_describe_hole(masks.metadata, len(photos)),
         protocols=done,
         contact=contact,
         strips=strips,
-        curves=_curves(methods),
+        curves=_collect_curves(methods),
         notes=list_weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths)),
         non_finite=bench.non_finite,
         health={m.label: m.artifact.metadata.health for m in methods if m.artifact.metadata.health},
@@ -127,7 +127,7 @@ def _load_photos(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], long
     return assign_exposures([load_photo(view, known[view.name], longest_side) for view in views])
 
 
-def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config: Config) -> list[Photo]:
+def _choose_truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config: Config) -> list[Photo]:
     """Truth views that show some of the hole, spread evenly; where no mask was made, the one that came with a view."""
     if truth is None:
         return []
@@ -141,7 +141,7 @@ def _truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet], config
     return choose_evenly(photos, config.truth_views)
 
 
-def _contact(
+def _make_contact_strip(
     bench: Bench, photos: list[Photo], capture: Artifact[PosedCapture], masks: Artifact[MaskSet], folder: Path
 ) -> Strip:
     """Before, mask, after, depth: the first field in the view that shows the hole best."""
@@ -160,7 +160,7 @@ def _contact(
     return Strip(view.name, folder / CONTACT, ("before", "mask", f"after ({bench.methods[0].label})", "depth"))
 
 
-def _strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[Strip]:
+def _make_strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[Strip]:
     """One row of panels for each view: the photo with its mask, every field, the first field's depth, the truth."""
     strips = []
     for photo in photos:
@@ -180,18 +180,18 @@ def _strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[
     return strips
 
 
-def _curves(methods: list[Method]) -> list[Curve]:
+def _collect_curves(methods: list[Method]) -> list[Curve]:
     found = [(m.label, read_curve(m.artifact.path(m.artifact.metadata.learning_curve))) for m in methods]
     return [Curve(label, [(float(p.step), p.psnr) for p in points]) for label, points in found if points]
 
 
-def _hole_in_words(masks: MaskSet, views: int) -> str:
+def _describe_hole(masks: MaskSet, views: int) -> str:
     share = sum(v.share for v in masks.views) / max(1, len(masks.views))
     how = {"inpaint": "The hole", "outpaint": "Everything outside the sphere"}[masks.task]
     return f"{how} covers {share:.1%} of a view on average, over {views} views. Mask: {masks.origin}; {masks.method}."
 
 
-def _counter(ctx: Context, total: int) -> Tick:
+def _make_counter(ctx: Context, total: int) -> Tick:
     done = 0
 
     def tick(message: str) -> None:

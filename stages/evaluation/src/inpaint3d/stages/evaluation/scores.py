@@ -91,8 +91,8 @@ def find_best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
         by_name.setdefault(m.name, []).append(m)
     winners: set[tuple[str, str]] = set()
     for name, group in by_name.items():
-        top = max(_merit(m) for m in group)
-        winners |= {(m.method, name) for m in group if _merit(m) == top} if len(group) > 1 else set()
+        top = max(_rate_merit(m) for m in group)
+        winners |= {(m.method, name) for m in group if _rate_merit(m) == top} if len(group) > 1 else set()
     return winners
 
 
@@ -101,7 +101,7 @@ def round_figure(value: float) -> float:
     return round(float(value), 6)
 
 
-def _merit(m: Metric) -> float:
+def _rate_merit(m: Metric) -> float:
     if m.better == "nearer 1":
         return -abs(np.log(max(m.value, 1e-12)))
     return m.value if m.better == "higher" else -m.value

@@ -95,7 +95,7 @@ class RayBank:
         parts += [sight_lines.rays for sight_lines in toward]
         distance = torch.cat([target.new_empty(0), *(sight_lines.distance for sight_lines in toward)])
         if patches:
-            parts.append(self._patches(patches, patch_size, generator))
+            parts.append(self._draw_patches(patches, patch_size, generator))
         return Batch(join_rays(parts), target, distance, (patches, patch_size, patch_size))
 
     def look(self, count: int, generator: torch.Generator) -> Rays:
@@ -106,7 +106,7 @@ class RayBank:
         """Share of some pixels among those and the known ones."""
         return len(some) / (len(some) + len(self._known)) if some else 0.0
 
-    def _patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
+    def _draw_patches(self, count: int, size: int, generator: torch.Generator) -> Rays:
         drawn_on, device = generator.device, self._sizes.device
         view = torch.randint(len(self._sizes), (count,), generator=generator, device=drawn_on).to(device)
         room = (self._sizes[view] - size).clamp(min=0) + 1

@@ -61,11 +61,11 @@ def distil(
     inside = Rays(rays.origins[hole], rays.directions[hole])
     behind = torch.rand(3, generator=generator, device=generator.device).to(field.device)
     look = Look(specular_scale, behind)
-    rgb, interlevel, distortion = _with_graph(field, inside, look, block, generator)
+    rgb, interlevel, distortion = _render_with_graph(field, inside, look, block, generator)
     patch = torch.zeros(*hole.shape, 3, device=field.device)
     if guide.needs_surround:
         outside = Rays(rays.origins[~hole], rays.directions[~hole])
-        patch[~hole] = _without_graph(field, outside, look, block)
+        patch[~hole] = _render_without_graph(field, outside, look, block)
     patch[hole] = rgb.detach()
     gradient, t = guide.gradient(patch, hole, window, timesteps, generator)
     inner = gradient[hole]
@@ -102,12 +102,12 @@ def _render(field: RadianceField, rays: Rays, look: Look, jitter: torch.Generato
 
 
 @torch.no_grad()
-def _without_graph(field: RadianceField, rays: Rays, look: Look, block: int) -> Float[Tensor, "n 3"]:
+def _render_without_graph(field: RadianceField, rays: Rays, look: Look, block: int) -> Float[Tensor, "n 3"]:
     colours = [_render(field, rays[i : i + block], look).rgb for i in range(0, len(rays.origins), block)]
     return torch.cat(colours) if colours else rays.origins.new_zeros(0, 3)
 
 
-def _with_graph(
+def _render_with_graph(
     field: RadianceField, rays: Rays, look: Look, block: int, generator: torch.Generator
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, ""], Float[Tensor, ""]]:
     """Colours of rays and their regularisers' means. Beyond one block, blocks are rendered again when it is their turn

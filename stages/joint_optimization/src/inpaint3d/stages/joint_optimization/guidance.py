@@ -187,11 +187,11 @@ class PictureGuide(Stateless):
         picture = torch.from_numpy(np.ascontiguousarray(window.sample(self._pictures[window.view]))).to(patch)
         rendered = patch.detach().requires_grad_()
         # Apart: what is wanted needs no graph, which would cost as much backwards again.
-        made = _batch(torch.where(hole[..., None], rendered, picture))
-        (gradient,) = torch.autograd.grad(load("vgg", made.device).difference(made, _batch(picture)).sum(), rendered)
+        made = _to_batch(torch.where(hole[..., None], rendered, picture))
+        (gradient,) = torch.autograd.grad(load("vgg", made.device).difference(made, _to_batch(picture)).sum(), rendered)
         return gradient, float("nan")
 
 
-def _batch(picture: Patch) -> Float[Tensor, "1 3 h w"]:
+def _to_batch(picture: Patch) -> Float[Tensor, "1 3 h w"]:
     """A picture in [0, 1] as LPIPS takes it."""
     return enlarge(picture.permute(2, 0, 1)[None] * 2 - 1)

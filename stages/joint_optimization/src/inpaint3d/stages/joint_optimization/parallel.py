@@ -54,7 +54,7 @@ class Ranks:
         """What the first rank decided."""
         if self.world_size == 1:
             return list(decided)
-        flags = torch.tensor(decided, dtype=torch.int32, device=_device_to_send())
+        flags = torch.tensor(decided, dtype=torch.int32, device=_choose_device())
         dist.broadcast(flags, src=0)
         return [bool(flag) for flag in flags.tolist()]
 
@@ -62,7 +62,7 @@ class Ranks:
         """Give every rank the first one's file, or none where it has none: other machines do not see its folder."""
         if self.world_size == 1:
             return
-        first, device = self.rank == 0, _device_to_send()
+        first, device = self.rank == 0, _choose_device()
         kept = np.fromfile(file, np.uint8) if first and file.exists() else np.empty(0, np.uint8)
         size = torch.tensor([kept.size], device=device)
         dist.broadcast(size, src=0)
@@ -88,7 +88,7 @@ class Ranks:
         return f"cuda:{self.local_rank}" if kind == "cuda" and self.world_size > 1 else kind
 
 
-def _device_to_send() -> str:
+def _choose_device() -> str:
     """Where a tensor has to lie to be sent."""
     return "cuda" if dist.get_backend() == "nccl" else "cpu"
 

@@ -6,7 +6,7 @@ what it finds is lifted and joins the object, so that sides which the first view
 At the end all views vote on every masked surface point: what an early view let in, later views put out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from inpaint3d.stages.mask_authoring.segment import (
     grabcut,
     middle_depth,
 )
+from inpaint3d.stages.mask_authoring.surroundings import Surroundings
 from inpaint3d.stages.mask_authoring.views import DepthView, camera_distances, order_by_nearness
 
 Floats = NDArray[np.float64]
@@ -44,23 +45,23 @@ class Carrying:
     margin: float
     rounds: int
     seed: int
+    surroundings: Surroundings
 
 
 def carry(
     views: list[DepthView],
-    source: int,
-    source_mask: Bools,
+    found: Mapping[int, Bools],
     how: Carrying,
     *,
     refine: bool,
     progress: Callable[[int, int], None],
 ) -> list[Bools]:
-    """Masks [h, w] of the object in every view, given its mask in the view `source`."""
+    """Masks [h, w] of the object in every view, given those in the views in which it was pointed at (one at least)."""
     apart = camera_distances([v.camera for v in views])
-    masks: dict[int, Bools] = {source: source_mask}
-    clouds = [lift(views[source], shrink(source_mask, _pixels(CORE, source_mask)))]
-    order = order_by_nearness(apart, source)
-    for done, index in enumerate(order[1:], start=1):
+    masks = dict(found)
+    clouds = [lift(views[i], shrink(mask, _pixels(CORE, mask))) for i, mask in found.items()]
+    order = [i for i in order_by_nearness(apart, list(found)) if i not in found]
+    for done, index in enumerate(order, start=1):
         progress(done, len(order))
         view, cloud = views[index], join(clouds)
         shown = splat(view, cloud, how.tolerance)
@@ -68,8 +69,8 @@ def carry(
         if refine and shown.any():
             nearest = sorted(masks, key=apart[index].__getitem__)[:NEAR_WITNESSES]
             witnesses = Witnesses([views[j] for j in nearest], [masks[j] for j in nearest], how.tolerance)
-            masks[index], found = _refine(view, shown, cloud, witnesses, how)
-            clouds.append(found)
+            masks[index], surface = _refine(view, shown, cloud, witnesses, how)
+            clouds.append(surface)
         else:
             masks[index] = shown
     carried = [masks[i] for i in range(len(views))]
@@ -98,6 +99,7 @@ def _refine(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, h
     pixels, points = _surface(view, around)
     doubted, denied = witnesses.judge(points)
     far = ~are_near(points, cloud, UNSEEN)
+    flat = how.surroundings.hold(points, view)
     outside, fresh = (_at(pixels, which, shown.shape) for which in (denied | far, ~doubted & ~far))
     core = shrink(shown, _pixels(CORE, shown)) & ~outside
     trimap = np.full(shown.shape, BACKGROUND, np.uint8)
@@ -106,11 +108,13 @@ def _refine(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, h
     # later views reject it.
     trimap[(shown | fresh) & ~outside] = MAYBE_OBJECT
     trimap[core] = OBJECT
+    # What the object stands on is seen anew from every side, in its colours where it is in its shade.
+    trimap[_at(pixels, flat, shown.shape) & ~shown] = BACKGROUND
     depth = view.depth_at(view.camera.pixel_centres())
     features = add_depth(view.image(), depth, middle_depth(depth[shown]))
     mask = grabcut(features, trimap, how.rounds, how.seed)
     found = lift(view, shrink(mask, _pixels(CORE, mask)))
-    return mask, found.select(~witnesses.judge(found.points)[1])
+    return mask, found.select(~witnesses.judge(found.points)[1] & ~how.surroundings.hold(found.points, view))
 
 
 def _keep_agreed(views: list[DepthView], masks: list[Bools], apart: Floats, how: Carrying) -> list[Bools]:

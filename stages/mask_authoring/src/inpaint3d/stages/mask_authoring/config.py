@@ -1,6 +1,6 @@
 """Parameters of mask authoring. What is to be masked is the mask request's to say, not theirs."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -31,8 +31,16 @@ class Config(Closed):
     refine_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
         default=3, description="GrabCut iterations on each view that the object is carried to"
     )
+    edge_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
+        default=2, description="GrabCut iterations along the outline, at the pictures' own size"
+    )
     voxels: Annotated[int, Field(ge=8, le=256)] = Field(
-        default=64, description="cells along the longest side of the voxel hull"
+        default=72, description="cells along the longest side of the voxel hull"
+    )
+    hole: Literal["object", "unseen"] = Field(
+        default="object",
+        description="what completion and the joint optimisation fill: all that is masked, or what of it no other view "
+        "shows (of an outpainting, always all)",
     )
     agreement: Share = Field(
         default=0.9, description="a voxel is the object's where this share of the views that can tell see it inside"

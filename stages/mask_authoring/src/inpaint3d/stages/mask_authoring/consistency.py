@@ -1,5 +1,8 @@
 """How well the masks of neighbouring views agree about the surfaces that both see."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -10,26 +13,49 @@ from inpaint3d.stages.mask_authoring.views import DepthView, camera_distances
 
 Bools = NDArray[np.bool_]
 
+NEIGHBOURS = 4  # views that a view's mask is compared with, nearest first
+LOW = 0.6  # IoU; a view's mean below this is for a person to look at. Good masks, rims grown, are at 0.8 and more
 
-def measure_consistency(views: list[DepthView], masks: list[Bools], tolerance: float) -> float | None:
-    """Mean IoU of each view's mask with its nearest neighbour's mask reprojected into it, over what both see.
 
-    At the depth maps' resolution. None where no pair has masked surface in common.
+@dataclass(frozen=True)
+class Agreement:
+    """set: mean IoU with the nearest view's mask; views: of each view, with those of its nearest ones, mean.
+
+    None where no pair has masked surface in common.
     """
-    if len(views) < 2:
-        return None
+
+    set: float | None
+    views: Sequence[float | None]
+
+    def to_check(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Names of the views that agree little with their neighbours."""
+        return tuple(n for n, score in zip(names, self.views, strict=True) if score is not None and score < LOW)
+
+
+def measure_agreement(views: list[DepthView], masks: list[Bools], tolerance: float) -> Agreement:
+    """Each view's mask against its neighbours', carried into it by depth, over what both see.
+
+    At the depth maps' resolution.
+    """
     apart = camera_distances([v.camera for v in views])
     np.fill_diagonal(apart, np.inf)
     small = [_at_depth_size(v, m) for v, m in zip(views, masks, strict=True)]
-    scores = []
-    for i, j in enumerate(np.argmin(apart, 1)):
-        view, other = views[i], views[j]
-        carried, seen = reproject_mask(
-            small[j], other.depth_camera, other.depth, view.depth_camera, view.depth, tolerance
-        )
-        if (carried | (small[i] & seen)).any():
-            scores.append(iou(carried, small[i] & seen))
-    return float(np.mean(scores)) if scores else None
+    nearest: list[float] = []
+    each: list[float | None] = []
+    for i, row in enumerate(apart):
+        others = np.argsort(row, kind="stable")[: min(NEIGHBOURS, len(views) - 1)]
+        scores = [compare(views[i], small[i], views[j], small[j], tolerance) for j in others]
+        nearest += [s for s in scores[:1] if s is not None]
+        known = [s for s in scores if s is not None]
+        each.append(float(np.mean(known)) if known else None)
+    return Agreement(float(np.mean(nearest)) if nearest else None, each)
+
+
+def compare(view: DepthView, mask: Bools, other: DepthView, others: Bools, tolerance: float) -> float | None:
+    """IoU of a view's mask with another's carried into it; both at their depth maps' size. None: neither shows any."""
+    carried, seen = reproject_mask(others, other.depth_camera, other.depth, view.depth_camera, view.depth, tolerance)
+    both = mask & seen
+    return iou(carried, both) if (carried | both).any() else None
 
 
 def _at_depth_size(view: DepthView, mask: Bools) -> Bools:

@@ -15,7 +15,9 @@ Bools = NDArray[np.bool_]
 
 RIM = 0.008  # of the shorter side
 STRIDE = 8
-GROWTH = 0.15  # of the object's size: the grid reaches this far beyond its seen surface
+GROWTH = (
+    0.3  # of the object's size: the grid reaches this far beyond its seen surface, since no view may show its underside
+)
 
 
 def carve(

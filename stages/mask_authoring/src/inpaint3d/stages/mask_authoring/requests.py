@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.errors import ConfigurationError
-from inpaint3d.contracts.models.artifacts.masks import ObjectRequest, ScribbleRequest
+from inpaint3d.contracts.models.artifacts.masks import ObjectPrompts, ScribbleRequest, SurfaceClick
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
 from inpaint3d.stages.mask_authoring.segment import Prompts
@@ -29,23 +29,21 @@ def find_view(views: list[View], name: str) -> int:
     )
 
 
-def object_prompts(request: ObjectRequest, camera: Camera) -> Prompts:
-    """Points and box in pixels of the posed frame; ConfigurationError where they are none or lie outside."""
-    if not request.points and request.box is None:
-        raise ConfigurationError(f"mask request: give points on the object in view {request.view!r}, or a box round it")
+def object_prompts(request: ObjectPrompts, camera: Camera) -> Prompts:
+    """Points and box in pixels of the posed frame; ConfigurationError where they lie outside."""
     size = request.frame_size
     points = _in_frame(request.points, size, camera, "point")
     background = _in_frame(request.background, size, camera, "background point")
     if request.box is None:
         return Prompts(points, background)
     x0, y0, x1, y1 = request.box
-    if x1 <= x0 or y1 <= y0:
-        raise ConfigurationError(f"mask request: box {list(request.box)} is empty; it is x0, y0, x1, y1")
-    corners = _in_frame(((x0, y0), (x1, y1)), size, camera, "box corner", inclusive=True)
-    low, high = corners
-    if len(points) and not np.all((points >= low) & (points <= high)):
-        raise ConfigurationError(f"mask request: a point lies outside the box {list(request.box)}; move one of them")
+    low, high = _in_frame(((x0, y0), (x1, y1)), size, camera, "box corner", inclusive=True)
     return Prompts(points, background, (low[0], low[1], high[0], high[1]))
+
+
+def surface_pixel(click: SurfaceClick, camera: Camera) -> Floats:
+    """Where a surface was clicked at [2], in pixels of the posed frame."""
+    return _in_frame((click.at,), click.frame_size, camera, "at")[0]
 
 
 def scribble_path(request: ScribbleRequest, camera: Camera) -> Floats:
@@ -76,8 +74,6 @@ def _in_frame(
 ) -> Floats:
     """Points read on a picture of `frame_size`, in pixels of the posed frame [n, 2]."""
     width, height = frame_size or (camera.width, camera.height)
-    if width <= 0 or height <= 0:
-        raise ConfigurationError(f"mask request: frame_size [{width}, {height}] must be positive")
     ratio = (width / height) / (camera.width / camera.height)
     if abs(np.log(ratio)) > ASPECT_TOLERANCE:
         raise ConfigurationError(

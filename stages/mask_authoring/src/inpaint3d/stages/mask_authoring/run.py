@@ -1,5 +1,7 @@
 """Author masks: a volume, an object, a scribble, or masks that came with the capture; one mask for every view."""
 
+from collections.abc import Sequence
+
 import cv2
 
 from inpaint3d.contracts.errors import ConfigurationError, WaitingError
@@ -14,13 +16,13 @@ from inpaint3d.contracts.models.artifacts import (
 from inpaint3d.contracts.models.artifacts.masks import ImportedRequest
 from inpaint3d.scene.capture_io import View
 from inpaint3d.scene.plausibility import doubt_masks
-from inpaint3d.stages.mask_authoring.author import Scene, author
-from inpaint3d.stages.mask_authoring.authored import Authored, write_mask_set
+from inpaint3d.stages.mask_authoring.author import author
+from inpaint3d.stages.mask_authoring.authored import Authored, Names, write_mask_set
 from inpaint3d.stages.mask_authoring.config import Config
-from inpaint3d.stages.mask_authoring.consistency import measure_consistency
+from inpaint3d.stages.mask_authoring.consistency import Agreement, measure_agreement
 from inpaint3d.stages.mask_authoring.requests import example_request
-from inpaint3d.stages.mask_authoring.truth import truth_views
-from inpaint3d.stages.mask_authoring.views import load_depth_views
+from inpaint3d.stages.mask_authoring.scene import load_scene
+from inpaint3d.stages.mask_authoring.unseen import find_unseen
 
 TOO_MUCH = 0.95  # of all pixels masked: nothing is left to reconstruct the scene from
 
@@ -29,23 +31,36 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """See the stage's README; ports and files are described in `stage.yaml` and `contracts.models.artifacts.masks`."""
     cv2.setNumThreads(ctx.threads)
     posed = inputs.one("posed-capture", PosedCapture)
-    views, depth_views = load_depth_views(posed, inputs.one("radiance-field", RadianceFieldArtifact))
+    field = inputs.one("radiance-field", RadianceFieldArtifact)
+    scene = load_scene(posed, field, inputs.optional("posed-truth", PosedTruth))
     asked = inputs.optional("mask-request", MaskRequestArtifact)
-    request = asked.metadata.request if asked else request_by_default(views)
-    truth = inputs.optional("posed-truth", PosedTruth)
-    unseen = truth_views(truth, depth_views) if truth else []
-    scene = Scene(views, depth_views, unseen, posed.metadata.ordered)
+    request = asked.metadata.request if asked else request_by_default(scene.views)
     authored = author(request.mask, scene, request.dilate, config, ctx)
     check(authored)
     agreement = (
-        None if authored.primitives else measure_consistency(depth_views, authored.masks, config.depth_tolerance)
+        None if authored.primitives else measure_agreement(scene.depth_views, authored.masks, config.depth_tolerance)
     )
-    for doubt in doubt_masks(authored.mean_share, agreement, outside=authored.origin == "outpaint"):
-        ctx.doubt(doubt)
-    names, truth_names = [v.name for v in views], [v.name for v in unseen]
+    names = Names([v.name for v in scene.views], [v.name for v in scene.truth])
+    report(authored, agreement, names.views, ctx)
     folder = outputs.folder("mask-set")
-    outputs.write("mask-set", write_mask_set(folder, authored, names, truth_names, agreement))
+    # Around an outpainted scene other views show nothing by definition.
+    hidden = None if authored.origin == "outpaint" else find_unseen(scene.depth_views, authored.masks)
+    metadata = write_mask_set(folder, authored, names, agreement, hidden)
+    hole = config.hole if hidden is not None else "object"
+    outputs.write("mask-set", metadata.model_copy(update={"hole": hole}))
     ctx.progress(1, 1, authored.method, share=authored.mean_share)
+
+
+def report(authored: Authored, agreement: Agreement | None, names: Sequence[str], ctx: Context) -> None:
+    """What speaks against the masks, and which views a person should look at."""
+    consistency = agreement.set if agreement else None
+    for doubt in doubt_masks(authored.mean_share, consistency, outside=authored.origin == "outpaint"):
+        ctx.doubt(doubt)
+    if agreement and (low := agreement.to_check(names)):
+        ctx.log(
+            f"look at the masks of {len(low)} of {len(names)} views, which agree little with their neighbours': "
+            f"{', '.join(low)}"
+        )
 
 
 def request_by_default(views: list[View]) -> MaskRequest:
@@ -55,7 +70,7 @@ def request_by_default(views: list[View]) -> MaskRequest:
     raise WaitingError(
         f"no mask: the capture brings none and none was asked for. Write a request such as\n\n"
         f"{example_request(views[0])}\n\nto a file and run again with --mask FILE. "
-        "Other kinds: sphere, box, scribble, outpaint, imported"
+        "Other kinds: sphere, box, scribble, outpaint, imported, union, difference, objects"
     )
 
 

@@ -1,5 +1,6 @@
 """The object on one picture: GrabCut (Rother et al., SIGGRAPH 2004) seeded by points, a box, or a rough mask."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from inpaint3d.scene.colour import to_bytes
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.morphology import keep_parts_at
+from inpaint3d.scene.planes import Plane
+from inpaint3d.stages.mask_authoring.surroundings import lie_on
 from inpaint3d.stages.mask_authoring.views import DepthView
 
 Floats = NDArray[np.float64]
@@ -21,8 +24,12 @@ BACKGROUND, OBJECT, MAYBE_BACKGROUND, MAYBE_OBJECT = 0, 1, 2, 3  # OpenCV's GC_ 
 SEED_RADIUS = 0.01  # of the shorter side: a point stands for a small disc
 # How far from the points the object may reach, as shares of the shorter side. Below, a mask is one texture patch;
 # above, GrabCut's colour models are mostly background.
-REACHES = (0.06, 0.1, 0.17, 0.28, 0.45)
+REACHES = (0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.45)
 CUT_WEIGHT = 0.25  # weight against stability: decides between two neighbouring candidates, whose stability is the same
+ALIKE = 0.05  # stability that makes no difference: a thing and what it stands on are often both stable
+CLICKED_PLANE = 0.012  # of the depth: how near a plane a point was clicked on it
+OWN_PLANE = 0.5  # share of a plane's pixels near the points from which the plane may be the object's own
+NEAR, NEARBY = 0.1, 0.17  # reaches: within the first no pixel is ruled out by a plane; the second is "near the points"
 SMALLEST = 0.003  # of the picture
 DEPTH_RANGE = 0.35  # of the object's depth, to either side, is what its depth channel spans
 SURELY_OUT = 2.5  # reaches from the points beyond which nothing is the object
@@ -42,11 +49,11 @@ class Prompts:
         return Prompts(self.points * factor, self.background * factor, box)
 
 
-def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int) -> Bools:
+def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int, planes: Sequence[Plane] = ()) -> Bools:
     """The object on a view's picture -> bool [h, w].
 
     A box bounds the object; without one the reach round the points is unknown, and is found by stability (see
-    `_choose_stablest`).
+    `_choose_stablest`). planes: of the scene, which an object stands on or hangs at.
     """
     shape = (view.camera.height, view.camera.width)
     depth = view.depth_at(view.camera.pixel_centres())
@@ -56,11 +63,12 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int) -> Bools:
         trimap = _mark_points(_box_trimap(shape, prompts.box), prompts)
         return _keep_marked(grabcut(features, trimap, rounds, seed), prompts.points)
     reach = _reach_of(view, depth, prompts.points)
+    flat = _find_flat(view, depth, prompts.points, reach, planes)
     masks, cut = [], []
     for share in REACHES:
         trimap = np.full(shape, MAYBE_BACKGROUND, np.uint8)
         trimap[reach <= share] = MAYBE_OBJECT
-        trimap[reach > SURELY_OUT * share] = BACKGROUND
+        trimap[(reach > SURELY_OUT * share) | flat] = BACKGROUND
         mask = _keep_marked(grabcut(features, _mark_points(trimap, prompts), rounds, seed), prompts.points)
         masks.append(mask)
         cut.append(float((reach[mask] > 0.95 * share).mean()) if mask.any() else 1.0)
@@ -123,7 +131,7 @@ def iou(a: Bools, b: Bools) -> float:
 
 
 def _choose_stablest(masks: list[Bools], cut: list[float]) -> int:
-    """The candidate that changes least when the reach is widened or narrowed by a step.
+    """The smallest candidate of those that change least when the reach is widened or narrowed by a step.
 
     An object ends where its colours and its surface do, so that a wider reach gives the same mask again; a mask that
     ends for want of reach grows with it, and `cut`, the share of it at the end of its reach, is large.
@@ -132,7 +140,26 @@ def _choose_stablest(masks: list[Bools], cut: list[float]) -> int:
     agreement = np.array([steps[0], *map(max, steps, steps[1:]), steps[-1]])
     # A patch of texture is stable too: candidates too small to be the object that was meant are skipped.
     usable = np.array([m.mean() for m in masks]) >= SMALLEST
-    return int(np.argmax(np.where(usable, agreement - CUT_WEIGHT * np.array(cut), -1.0)))
+    score = np.where(usable, agreement - CUT_WEIGHT * np.array(cut), -1.0)
+    return int(np.argmax(score >= score.max() - ALIKE))
+
+
+def _find_flat(view: DepthView, depth: Floats, points: Floats, reach: Floats, planes: Sequence[Plane]) -> Bools:
+    """Pixels [h, w] a little away from the points that show a plane nobody pointed at, and that reaches beyond them."""
+    flat = np.zeros(depth.shape, bool)
+    known = np.isfinite(depth)
+    clicked, there = view.depth_at(points), np.isfinite(view.depth_at(points))
+    if not there.any():
+        return flat
+    seeds = view.camera.unproject(points[there], clicked[there])
+    surface = view.camera.unproject(view.camera.pixel_centres()[known], depth[known])
+    for plane in planes:
+        on_it = np.zeros(depth.shape, bool)
+        on_it[known] = lie_on(plane, surface, view)
+        pointed_at = plane.distance(seeds) <= CLICKED_PLANE * clicked[there]
+        if not pointed_at.any() and on_it.any() and (reach[on_it] <= NEARBY).mean() < OWN_PLANE:
+            flat |= on_it
+    return flat & (reach > NEAR)
 
 
 def _reach_of(view: DepthView, depth: Floats, points: Floats) -> Floats:

@@ -5,7 +5,7 @@ from inpaint3d.contracts.models.artifacts import PosedCapture, PosedTruth
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.synthetic import BALL_RADIUS
 from inpaint3d.scene.volumes import sphere, volume_mask
-from inpaint3d.stages.mask_authoring.authored import Authored, write_mask_set
+from inpaint3d.stages.mask_authoring.authored import Authored, Names, write_mask_set
 from inpaint3d.stages.mask_authoring.config import Config
 
 
@@ -22,6 +22,6 @@ def stub(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None
         truth_masks=[volume_mask(Camera.from_model(f), ball) for f in truth_frames],
         primitives=(ball,),
     )
-    names, truth_names = [f.name for f in frames], [f.name for f in truth_frames]
-    outputs.write("mask-set", write_mask_set(outputs.folder("mask-set"), authored, names, truth_names, None))
+    names = Names([f.name for f in frames], [f.name for f in truth_frames])
+    outputs.write("mask-set", write_mask_set(outputs.folder("mask-set"), authored, names))
     ctx.progress(1, 1, "stub")

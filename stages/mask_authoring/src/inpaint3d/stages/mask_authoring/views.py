@@ -1,6 +1,6 @@
 """Posed views with the pretrained field's depth, as the carrying of masks needs them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -81,9 +81,9 @@ def read_depth(path: Path) -> Floats:
     return np.where((depth > 0) & (opacity >= SURFACE_OPACITY), depth, np.inf)
 
 
-def order_by_nearness(apart: Floats, start: int) -> list[int]:
-    """Views in an order that grows from `start` by the smallest steps, given how far apart they are [n, n]."""
-    order, nearest = [start], apart[start].copy()
+def order_by_nearness(apart: Floats, start: Sequence[int]) -> list[int]:
+    """Views in an order that grows from those of `start` by the smallest steps, given how far apart they are [n, n]."""
+    order, nearest = list(start), apart[list(start)].min(0)
     while len(order) < len(apart):
         nearest[order] = np.inf
         order.append(int(np.argmin(nearest)))

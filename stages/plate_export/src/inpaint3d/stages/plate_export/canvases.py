@@ -22,7 +22,7 @@ def write_canvas(folder: Path, view: PlateView, plate: Path) -> Canvas:
     camera = view.camera
     for top in range(0, height, ROWS):
         box = Box(0, top, width, min(top + ROWS, height))
-        rays = _canvas_rays(camera, box)
+        rays = _cast_canvas_rays(camera, box)
         xy = (camera.project(rays) - 0.5).astype(np.float32)
         rows = slice(box.y0, box.y1)
         made[rows] = to_bytes(
@@ -42,7 +42,7 @@ def write_canvas(folder: Path, view: PlateView, plate: Path) -> Canvas:
     )
 
 
-def _canvas_rays(camera: PhotoCamera, box: Box) -> np.ndarray:
+def _cast_canvas_rays(camera: PhotoCamera, box: Box) -> np.ndarray:
     canvas = camera.canvas
     x, y = np.meshgrid(np.arange(box.x0, box.x1) + 0.5, np.arange(box.y0, box.y1) + 0.5)
     return np.stack([(x - canvas.cx) / canvas.fx, (y - canvas.cy) / canvas.fy], -1)

@@ -54,14 +54,14 @@ def _compare(
     there, z = other.camera.to_rays(view.camera.to_world(rays, view.disparity_at(rays)))
     shared = (z > 0) & other.sees(there, z)
     shared &= view.camera.inside(view.camera.project(rays)) & other.camera.inside(other.camera.project(there))
-    mine, theirs = _at(view, small, rays), match_photos(view, other, photos)(_at(other, small, there))
+    mine, theirs = _sample_at(view, small, rays), match_photos(view, other, photos)(_sample_at(other, small, there))
     apart = np.abs(mine - theirs).mean(-1)
     hole = view.hole[y, x] & shared
     known = view.knows(rays) & other.knows(there) & shared
     return np.array([apart[hole].sum(), apart[known].sum()]), np.array([hole.sum(), known.sum()])
 
 
-def _at(view: PlateView, small: Mapping[str, Colours], rays: Floats) -> Colours:
+def _sample_at(view: PlateView, small: Mapping[str, Colours], rays: Floats) -> Colours:
     picture = small[view.name]
     scale = (picture.shape[1] / view.camera.lens.width, picture.shape[0] / view.camera.lens.height)
     return sample_bilinear(picture, view.camera.project(rays) * scale)

@@ -52,7 +52,7 @@ def build_model(
     model = pycolmap.Reconstruction()
     cameras: dict[tuple[Any, ...], int] = {}
     owners = points.track_frame
-    pixels = _captured_pixels(views, points)
+    pixels = _find_captured_pixels(views, points)
     place = np.zeros(len(owners), np.int64)
     for number, view in enumerate(views):
         lens = view.camera.lens
@@ -80,7 +80,7 @@ def build_model(
     return model
 
 
-def _captured_pixels(views: Sequence[PlateView], points: SparsePoints) -> Floats:
+def _find_captured_pixels(views: Sequence[PlateView], points: SparsePoints) -> Floats:
     """The tracks' pixels [t, 2] in the photos instead of the undistorted views."""
     pixels: NDArray[np.float64] = np.zeros((len(points.track_frame), 2))
     for number, view in enumerate(views):

@@ -41,7 +41,7 @@ def read_photo(path: Path) -> tuple[Codes, PhotoFile]:
     if buffer.has_error or not buffer.initialized:
         raise BadInputError(f"{path} is not a picture that can be read; replace it in the capture")
     spec = oiio.ImageSpec(buffer.spec())
-    kind = _stored_kind(spec)
+    kind = _read_stored_kind(spec)
     if not buffer.read(force=True, convert=kind) or (pixels := buffer.get_pixels(kind)) is None:
         raise BadInputError(f"{path} is damaged ({buffer.geterror()}); replace it in the capture")
     codes = np.asarray(pixels).reshape(spec.height, spec.width, spec.nchannels)
@@ -49,7 +49,7 @@ def read_photo(path: Path) -> tuple[Codes, PhotoFile]:
     return codes, PhotoFile(spec, _choose_suffix(spec, kind), 3 if spec.nchannels >= 3 else 1, kind.startswith("float"))
 
 
-def _stored_kind(spec: oiio.ImageSpec) -> str:
+def _read_stored_kind(spec: oiio.ImageSpec) -> str:
     kind = str(spec.format)
     return kind if kind in ("uint8", "uint16", "half") else "float"
 

@@ -192,19 +192,19 @@ def choose_pieces(
     if painting is not None:
         found.append(Offer((PAINTED,), Painted(view, photos, completed, painting)))
     for number, source in enumerate(views):
-        if number != index and source.completed and _alike(view, source, photos):
+        if number != index and source.completed and _are_alike(view, source, photos):
             piece = FromView(view, source, photos)
             found.append(Offer((FIRST_PHOTO + number,), piece, replace(piece, checked=True)))
     if view.copies is not None:
         found.append(Offer((EXAMPLE,), Copied(view, photos, completed)))
     for number in plates:
-        if number != index and _alike(view, views[number], photos):
+        if number != index and _are_alike(view, views[number], photos):
             found.append(Offer(invented, FromView(view, views[number], photos, plate=True)))
     found.append(Offer((), Enlarged(view, photos, completed)))
     return found
 
 
-def _alike(one: PlateView, other: PlateView, photos: Photos) -> bool:
+def _are_alike(one: PlateView, other: PlateView, photos: Photos) -> bool:
     """Whether two photos' files hold the same kind of colours."""
     a, b = photos.file(one.name), photos.file(other.name)
     return (a.colours, a.linear) == (b.colours, b.linear)

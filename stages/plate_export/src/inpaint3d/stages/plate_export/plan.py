@@ -207,12 +207,12 @@ def even_out(
     bend = np.zeros(own.shape, np.float64)
     beside = [grow(labels == i, 1) for i in range(len(colours))]
     for one, (made, there) in enumerate(zip(colours, valid, strict=True)):
-        if (near := _window(beside[one] & grid.known)) is not None:
+        if (near := _find_window(beside[one] & grid.known)) is not None:
             step, sure = _average_step((own[near] - made[near]), there[near] & grid.known[near])
             edge = sure & grid.known[near] & beside[one][near]
             held[near][edge], rim[near] = step[edge], rim[near] | edge
         for other in range(one + 1, len(colours)):
-            if (near := _window(beside[one] & beside[other])) is None:
+            if (near := _find_window(beside[one] & beside[other])) is None:
                 continue
             both = there[near] & valid[other][near] & grid.hole[near]
             step, sure = _average_step(made[near] - colours[other][near], both)
@@ -227,7 +227,7 @@ def even_out(
     return [_extend(spanned, labels == i) for i in range(len(colours))]
 
 
-def _window(mask: Mask) -> tuple[slice, slice] | None:
+def _find_window(mask: Mask) -> tuple[slice, slice] | None:
     """Rows and columns of what is set, and as many around it as a step is averaged over; None where nothing is."""
     if not mask.any():
         return None

@@ -114,13 +114,13 @@ def _fill_tile(
     if empty.any():
         colours[empty], total[empty] = fallback.sample(rays[empty], disparity[empty], 1)[0], 1.0
     rows, columns = tile.slices
-    made = np.full((len(rays), codes.shape[-1]), _opaque(codes), codes.dtype)
+    made = np.full((len(rays), codes.shape[-1]), _find_opaque(codes), codes.dtype)
     made[:, :channels] = to_codes(colours / total, codes.dtype)
     codes[rows, columns][hole] = made
     filled[rows, columns] = hole
 
 
-def _opaque(codes: Codes) -> float:
+def _find_opaque(codes: Codes) -> float:
     return float(np.iinfo(codes.dtype).max) if codes.dtype.kind == "u" else 1.0
 
 

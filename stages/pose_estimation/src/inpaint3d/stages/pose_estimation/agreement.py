@@ -61,28 +61,28 @@ def measure_distances(pair: VerifiedPair, cameras: Cameras) -> Floats:
     """
     lenses = [cameras.lenses[view] for view in (pair.first, pair.second)]
     first, second = (cameras.world_from_cam[view] for view in (pair.first, pair.second))
-    rays = [_rays(lens, xy) for lens, xy in zip(lenses, (pair.first_xy, pair.second_xy), strict=True)]
+    rays = [_cast_rays(lens, xy) for lens, xy in zip(lenses, (pair.first_xy, pair.second_xy), strict=True)]
     relative, baseline = second[:, :3].T @ first[:, :3], second[:, :3].T @ (first[:, 3] - second[:, 3])
-    essential = _cross_matrix(baseline) @ relative
+    essential = _make_cross_matrix(baseline) @ relative
     lines = rays[1] @ essential, rays[0] @ essential.T
     value = np.abs(np.sum(rays[1] * lines[1], 1))
     slope = sum(
         (max(lens.width, lens.height) / lens.mean_focal_length()) ** 2 * (np.sum(line**2, 1) - value**2)
         for lens, line in zip(lenses, lines, strict=True)
     )
-    possible = _in_front(rays[0] @ relative.T, rays[1], baseline)
+    possible = _are_in_front(rays[0] @ relative.T, rays[1], baseline)
     # Without a baseline every ray meets every other in the camera: what is left to be judged is their direction.
     return np.where(possible, value / np.sqrt(np.where(slope > 0, slope, 1.0)), np.inf)
 
 
-def _rays(lens: pycolmap.Camera, xy: Floats) -> Floats:
+def _cast_rays(lens: pycolmap.Camera, xy: Floats) -> Floats:
     """Rays [m, 3] of captured pixels in the camera's axes, of length 1: a pixel is an angle, also in a fisheye."""
     plane = np.asarray(lens.cam_from_img(np.ascontiguousarray(xy)), np.float64)
     rays = np.concatenate([plane, np.ones((len(plane), 1))], 1)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def _in_front(first: Floats, second: Floats, baseline: Floats) -> Flags:
+def _are_in_front(first: Floats, second: Floats, baseline: Floats) -> Flags:
     """Whether depth_second * second = depth_first * first + baseline has positive depths, or the rays are parallel."""
     a, b, c = (np.sum(p * q, 1) for p, q in ((first, first), (first, second), (second, second)))
     gram = a * c - b**2  # |first x second|^2
@@ -92,5 +92,5 @@ def _in_front(first: Floats, second: Floats, baseline: Floats) -> Flags:
     return parallel | ((depth_first > 0) & (depth_second > 0))
 
 
-def _cross_matrix(v: Floats) -> Floats:
+def _make_cross_matrix(v: Floats) -> Floats:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

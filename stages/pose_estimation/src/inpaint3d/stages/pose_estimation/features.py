@@ -57,7 +57,7 @@ def add_pictures(
     database: Path, folder: Path, groups: Mapping[int, Sequence[str]], config: Config, ctx: Context
 ) -> None:
     """Extract features of pictures (paths below `folder`), grouped by the number of their camera."""
-    _number(database, groups)
+    _number_pictures(database, groups)
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = config.feature_longest_side
     options.num_threads = ctx.threads
@@ -75,7 +75,7 @@ def add_pictures(
             done += len(chunk)
 
 
-def _number(path: Path, groups: Mapping[int, Sequence[str]]) -> None:
+def _number_pictures(path: Path, groups: Mapping[int, Sequence[str]]) -> None:
     """Number the pictures in the order given: the mapper goes by numbers, and threads would give them as they end."""
     with pycolmap.Database.open(path) as database:
         rigs = {rig.ref_sensor_id.id: rig.rig_id for rig in database.read_all_rigs()}

@@ -48,7 +48,7 @@ def check_estimated(e: Evidence, config: Config) -> None:
     needed = max(config.min_registered, round(config.min_registered_share * e.given))
     if e.registered < needed:
         refused = BadInputError if find_degeneracy(e) else TooFewViewsError
-        raise refused(_too_few(e, needed))
+        raise refused(_describe_too_few(e, needed))
     # With a focal length to choose, a mapper finds depth in them all the same.
     if (flat := e.pairs.turned + e.pairs.planar) >= FLAT_SHARE * e.pairs.verified > 0:
         raise BadInputError(
@@ -159,7 +159,7 @@ def find_degeneracy(e: Evidence) -> str:
     return ""
 
 
-def _too_few(e: Evidence, needed: int) -> str:
+def _describe_too_few(e: Evidence, needed: int) -> str:
     counted = f"{e.registered} of {e.given} views could be placed, {needed} are needed"
     if reason := find_degeneracy(e):
         return f"{counted}: {reason}"

@@ -62,7 +62,7 @@ def choose_order(
     if all(frame.other_pose is None for frame in frames):
         return given, False
     other = take_other_poses(frames)
-    as_text, as_numbers = (_agreement(f, pairs, config).share for f in (given, other))
+    as_text, as_numbers = (_measure_agreement(f, pairs, config).share for f in (given, other))
     better = "numbers" if as_numbers > as_text else "text"
     ctx.log(
         f"cameras without names: with the pictures in the order of their names as text {as_text:.0%} of the verified "
@@ -77,11 +77,11 @@ def check(
     """BadInputError where pictures contradict their cameras or show nothing. `features`: how many each picture has."""
     names = [frame.name for frame in frames]
     gate.check_blank([name for name, count in zip(names, features, strict=True) if count < gate.BLANK])
-    cameras = _cameras(frames)
+    cameras = _collect_cameras(frames)
     gate.check_spread(np.array([pose[:, 3] for pose in cameras.world_from_cam]), names)
     if config.min_agreement > 0:
         repair = find_repair(pairs, cameras, tolerance(config))
-        gate.check_agreement(_agreement(frames, pairs, config), repair, frames, config)
+        gate.check_agreement(_measure_agreement(frames, pairs, config), repair, frames, config)
 
 
 def tolerance(config: Config) -> float:
@@ -89,7 +89,7 @@ def tolerance(config: Config) -> float:
     return config.largest_epipolar_px / 1000
 
 
-def _cameras(frames: Sequence[CapturedFrame]) -> Cameras:
+def _collect_cameras(frames: Sequence[CapturedFrame]) -> Cameras:
     having = [(frame, frame.camera) for frame in frames if frame.camera is not None]
     return Cameras(
         [known_lens(1, frame, camera) for frame, camera in having],
@@ -97,5 +97,5 @@ def _cameras(frames: Sequence[CapturedFrame]) -> Cameras:
     )
 
 
-def _agreement(frames: Sequence[CapturedFrame], pairs: Sequence[VerifiedPair], config: Config) -> Agreement:
-    return measure_agreement(pairs, _cameras(frames), tolerance(config))
+def _measure_agreement(frames: Sequence[CapturedFrame], pairs: Sequence[VerifiedPair], config: Config) -> Agreement:
+    return measure_agreement(pairs, _collect_cameras(frames), tolerance(config))

@@ -82,7 +82,7 @@ def write_capture(
                 lens=None if (own := describe_lens(lens.lens, solved)) == usual else own,
             )
         )  # fmt: skip
-    write_points(folder / "points.safetensors", _sparse(model, track_xy, colours, flat))
+    write_points(folder / "points.safetensors", _make_sparse_points(model, track_xy, colours, flat))
     back = solved.local_from_source.then(world.normalised_from_source).inverse()
     scale = find_scale(capture, taken, solved.model.moved(solved.local_from_source.inverse()), config, ctx)
     outputs.write(
@@ -117,7 +117,7 @@ def write_truth(
     if solved.other_order:
         given = take_other_poses(given)
     if solved.source == "known" and all(f.camera is not None for f in given):
-        model, placed = _known_truth(solved, given)
+        model, placed = _take_known_truth(solved, given)
     else:
         paths = link_pictures(truth, solved.folder, "truth")
         model = solved.model
@@ -166,21 +166,21 @@ def choose_test_views(count: int, config: Config) -> set[int]:
 
 def relative_exposures(frames: Sequence[CapturedFrame], capture: Sequence[CapturedFrame]) -> list[float | None]:
     """Each frame's exposure over the median of the capture's; None where EXIF does not say."""
-    known = [e for e in (_exposure(f) for f in capture) if e is not None]
+    known = [e for e in (_compute_exposure(f) for f in capture) if e is not None]
     if not known:
         return [None] * len(frames)
     median = float(np.median(known))
-    return [None if (e := _exposure(f)) is None else e / median for f in frames]
+    return [None if (e := _compute_exposure(f)) is None else e / median for f in frames]
 
 
-def _exposure(frame: CapturedFrame) -> float | None:
+def _compute_exposure(frame: CapturedFrame) -> float | None:
     exif = frame.exif
     if exif.exposure_s is None or exif.iso is None or exif.f_number is None:
         return None
     return exif.exposure_s * exif.iso / exif.f_number**2
 
 
-def _known_truth(solved: Solved, frames: Sequence[CapturedFrame]) -> tuple[Model, dict[str, Registered]]:
+def _take_known_truth(solved: Solved, frames: Sequence[CapturedFrame]) -> tuple[Model, dict[str, Registered]]:
     """Truth views with cameras of their own; their lenses join the model's. Nothing is measured: their error is 0."""
     model = solved.model
     lenses = dict(model.lenses)
@@ -198,7 +198,7 @@ def _known_truth(solved: Solved, frames: Sequence[CapturedFrame]) -> tuple[Model
     return replace(model, lenses=lenses), placed
 
 
-def _sparse(
+def _make_sparse_points(
     model: Model, track_xy: NDArray[np.float64], colours: NDArray[np.float64], flat: dict[int, Undistorter]
 ) -> SparsePoints:
     """The points with tracks in undistorted pixels, mean colours, and errors at the output size."""

@@ -115,7 +115,7 @@ def _from_positions(frames: Sequence[CapturedFrame], model: Model, ctx: Context)
     placed = [(view, f.exif.position) for view, f in enumerate(frames) if f.exif.position is not None]
     if len(placed) < 4:
         return None
-    metres = _local_metres(np.array([position for _, position in placed]))
+    metres = _to_local_metres(np.array([position for _, position in placed]))
     centres = model.centres[[view for view, _ in placed]]
     metres, centres = metres - metres.mean(0), centres - centres.mean(0)
     u, singular, vt = np.linalg.svd(metres.T @ centres)
@@ -134,7 +134,7 @@ def _from_positions(frames: Sequence[CapturedFrame], model: Model, ctx: Context)
     )  # fmt: skip
 
 
-def _local_metres(positions: Floats) -> Floats:
+def _to_local_metres(positions: Floats) -> Floats:
     """Latitude, longitude (degrees) and altitude (m) [n, 3] as metres east, north and up of their mean."""
     latitude, longitude, altitude = positions.T
     north = np.deg2rad(latitude - latitude.mean()) * EARTH_RADIUS_M

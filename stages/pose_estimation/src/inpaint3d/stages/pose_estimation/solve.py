@@ -116,7 +116,7 @@ def _solve_known(capture: Artifact[Capture], config: Config, ctx: Context) -> So
     cameras = {matched.links[f.name]: (number[f.name], local.pose(f.camera.world_from_cam)) for f in frames if f.camera}
     found = mapping.triangulate(matched.database, matched.folder, ctx.work, lenses, cameras, ctx)
     model = from_reconstruction(found, matched.order)
-    evidence = _evidence(model, [len(frames)], matched)
+    evidence = _collect_evidence(model, [len(frames)], matched)
     gate.check_known(evidence, config)
     return _conclude(model, "known", "came with the capture", evidence, matched, config, local, other_order=other)
 
@@ -127,12 +127,12 @@ def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Pa
     matched = _match_pictures(capture, groups, lenses, config, ctx, work, guided=guided)
     result = mapping.estimate(matched.database, matched.folder, work, config, ctx)
     if result.model is None:
-        gate.check_estimated(_evidence(None, result.sizes, matched), config)
+        gate.check_estimated(_collect_evidence(None, result.sizes, matched), config)
         raise BadInputError("no model could be made of the photos; take more that overlap")
     ctx.progress(len(matched.order), len(matched.order), "lens")
     chosen, why = lens.choose_lens(result.model, config.lens)
     model = from_reconstruction(chosen, matched.order)
-    evidence = _evidence(model, result.sizes, matched)
+    evidence = _collect_evidence(model, result.sizes, matched)
     gate.check_estimated(evidence, config)
     solved = _conclude(model, "estimated", why, evidence, matched, config)
     gate.check_found(solved.agreement, config)
@@ -218,7 +218,7 @@ def group_by_camera(frames: Sequence[CapturedFrame], model: str) -> tuple[known.
     return groups, {n: features.guess_camera(n, group, model) for n, group in groups.items()}
 
 
-def _evidence(model: Model | None, sizes: list[int], matched: Matched) -> gate.Evidence:
+def _collect_evidence(model: Model | None, sizes: list[int], matched: Matched) -> gate.Evidence:
     placed = set(model.names) if model else set()
     residuals = model.residuals() if model else np.zeros(0)
     longest_side = max(max(f.width, f.height) for f in matched.frames)

@@ -32,7 +32,7 @@ class Registered:
 
 def lens_for(frame: CapturedFrame, model: Model) -> int:
     """The number of the capture's lens that took a truth frame: of its size and, as far as EXIF says, focal length."""
-    fitting = [n for n in set(model.view_lens) if _size(model.lenses[n]) == (frame.width, frame.height)]
+    fitting = [n for n in set(model.view_lens) if _get_size(model.lenses[n]) == (frame.width, frame.height)]
     if fitting and (focal := frame.exif.focal_px):
         return min(fitting, key=lambda n: (abs(np.log(focal / model.lenses[n].mean_focal_length())), n))
     if fitting:
@@ -44,7 +44,7 @@ def lens_for(frame: CapturedFrame, model: Model) -> int:
     )
 
 
-def _size(lens: pycolmap.Camera) -> tuple[int, int]:
+def _get_size(lens: pycolmap.Camera) -> tuple[int, int]:
     return lens.width, lens.height
 
 
@@ -67,18 +67,18 @@ def register(
     step = max(1, -(-len(model.names) // config.truth_partners))
     partners = model.names[::step]
     match(own, [(paths[f.name], partner) for f in frames for partner in partners], ctx)
-    points_of = _points_by_feature(model, database)
+    points_of = _index_points(model, database)
     placed: dict[str, Registered] = {}
     with pycolmap.Database.open(own) as db:
         for frame in frames:
-            xy, xyz = _correspondences(db, paths[frame.name], partners, points_of, model)
+            xy, xyz = _find_correspondences(db, paths[frame.name], partners, points_of, model)
             found = _pose(xy, xyz, model.lenses[lens_for(frame, model)], ctx.seed)
             if found is not None:
                 placed[frame.name] = Registered(found[0], lens_for(frame, model), found[1])
     return placed
 
 
-def _points_by_feature(model: Model, database: Path) -> dict[str, NDArray[np.int64]]:
+def _index_points(model: Model, database: Path) -> dict[str, NDArray[np.int64]]:
     """For each view, the point of each of its features, or -1; features are known by where they are."""
     found: dict[str, NDArray[np.int64]] = {}
     points = model.track_point
@@ -93,7 +93,7 @@ def _points_by_feature(model: Model, database: Path) -> dict[str, NDArray[np.int
     return found
 
 
-def _correspondences(
+def _find_correspondences(
     db: pycolmap.Database, path: str, partners: Sequence[str], points_of: dict[str, NDArray[np.int64]], model: Model
 ) -> tuple[Floats, Floats]:
     """Pixels [k, 2] of a truth view and the points [k, 3] that verified matches tie them to, each pair once."""

@@ -38,12 +38,12 @@ class Undistorter:
             straight = np.asarray(
                 cv2.remap(captured, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
             )
-        return np.asarray(self._reduced(straight), np.float32)
+        return np.asarray(self._reduce(straight), np.float32)
 
     def mask(self, captured: Mask) -> Mask:
         """A captured mask, undistorted and reduced by the nearest pixel."""
         camera = self._full.resize_to(self.width, self.height)
-        at = np.floor(self._distorted(camera, camera.pixel_centres())).astype(np.int64)
+        at = np.floor(self._distort(camera, camera.pixel_centres())).astype(np.int64)
         at = at.reshape(self.height, self.width, 2)
         return captured[np.clip(at[..., 1], 0, self.lens.height - 1), np.clip(at[..., 0], 0, self.lens.width - 1)]
 
@@ -54,7 +54,7 @@ class Undistorter:
             return None
         x, y = self._maps
         held = (x >= -0.5) & (x <= self.lens.width - 0.5) & (y >= -0.5) & (y <= self.lens.height - 0.5)
-        whole = self._reduced(held.astype(np.float32)) > 1 - 1e-6
+        whole = self._reduce(held.astype(np.float32)) > 1 - 1e-6
         return None if whole.all() else whole
 
     def combine_valid(self, opaque: Mask | None) -> Mask | None:
@@ -80,16 +80,16 @@ class Undistorter:
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Where full-size pinhole pixels are in the captured picture, in OpenCV's indices (whole at centres)."""
-        xy = self._distorted(self._full, self._full.pixel_centres()) - 0.5
+        xy = self._distort(self._full, self._full.pixel_centres()) - 0.5
         maps = xy.astype(np.float32).reshape(self.lens.height, self.lens.width, 2)
         return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
 
-    def _distorted(self, pinhole: Camera, xy: Floats) -> Floats:
+    def _distort(self, pinhole: Camera, xy: Floats) -> Floats:
         """Pinhole pixels [*n, 2] as captured pixels [n, 2]."""
         plane = (xy.reshape(-1, 2) - (pinhole.cx, pinhole.cy)) / (pinhole.fx, pinhole.fy)
         return np.asarray(self.lens.img_from_cam(np.concatenate([plane, np.ones((len(plane), 1))], 1)))
 
-    def _reduced(self, picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _reduce(self, picture: NDArray[np.float32]) -> NDArray[np.float32]:
         if (self.width, self.height) == (self.lens.width, self.lens.height):
             return picture
         return np.asarray(cv2.resize(picture, (self.width, self.height), interpolation=cv2.INTER_AREA), np.float32)

@@ -29,7 +29,7 @@ def contraction(points: SparsePoints, config: Config) -> Effect:
     reach = float(np.quantile(radius, 0.99)) if len(radius) else 0.0
     wanted = far > config.far_share
     says = "more than" if wanted else "not more than"
-    return _effect(
+    return _decide_effect(
         "contraction",
         wanted,
         {
@@ -48,7 +48,7 @@ def lens_distortion(lens: LensModel, config: Config) -> Effect:
     moved = corner_displacement(lens)
     wanted = moved > config.distortion_px
     says = "more" if wanted else "not more"
-    return _effect(
+    return _decide_effect(
         "lens-distortion",
         wanted,
         {"corner_displacement_px": moved},
@@ -79,7 +79,7 @@ def exposure(views: Sequence[View], seen: Observations, config: Config) -> tuple
         wanted = by_exif > config.exposure_ev
         reason = f"only {seen.points} points have usable colours; exposures by EXIF differ by {by_exif:.2f} EV"
     says = "more than" if wanted else "not more than"
-    effect = _effect(
+    effect = _decide_effect(
         "exposure", wanted, evidence, f"{reason} (10 to 90 % of views), {says} {config.exposure_ev:g} EV", config
     )
     return effect, np.where(np.isfinite(gains), gains, 0.0)
@@ -96,17 +96,17 @@ def view_dependence(
     if pairs < MIN_FAR_PAIRS:
         # With too few pairs of views reflections may be there unseen: modelling one that is not there only costs time.
         reason = f"only {pairs} pairs of far apart views of one point tell of it, so that it cannot be ruled out"
-        return _effect("view-dependence", True, evidence, reason, config)
+        return _decide_effect("view-dependence", True, evidence, reason, config)
     wanted = excess > config.view_dependence_ev
     says = "more than" if wanted else "not more than"
     reason = (
         f"between far apart directions one pair in five differs in brightness by {excess:.2f} EV beyond noise, "
         f"{says} {config.view_dependence_ev:g} EV"
     )
-    return _effect("view-dependence", wanted, evidence, reason, config)
+    return _decide_effect("view-dependence", wanted, evidence, reason, config)
 
 
-def _effect(name: EffectName, wanted: bool, evidence: dict[str, float], reason: str, config: Config) -> Effect:
+def _decide_effect(name: EffectName, wanted: bool, evidence: dict[str, float], reason: str, config: Config) -> Effect:
     forced = config.force.get(name)
     if forced is None:
         state = "on" if wanted else "off"

@@ -23,15 +23,15 @@ def corner_displacement(lens: LensModel) -> float:
             fx, fy, cx, cy = p[:4]
             coefficients = p[4:8]
         case "OPENCV_FISHEYE":
-            return _fisheye(*p)
+            return _displace_fisheye(*p)
         case _:
             raise BadInputError(
                 f"lens model {lens.model} is not known; run pose-estimation with a PINHOLE, RADIAL or OPENCV model"
             )
-    return _brown(fx, fy, cx / fx, cy / fy, *coefficients)
+    return _displace_brown(fx, fy, cx / fx, cy / fy, *coefficients)
 
 
-def _brown(fx: float, fy: float, x: float, y: float, k1: float, k2: float, p1: float, p2: float) -> float:
+def _displace_brown(fx: float, fy: float, x: float, y: float, k1: float, k2: float, p1: float, p2: float) -> float:
     """Brown's model at the point (x, y) of the plane z = 1."""
     r2 = x * x + y * y
     radial = k1 * r2 + k2 * r2 * r2
@@ -40,7 +40,7 @@ def _brown(fx: float, fy: float, x: float, y: float, k1: float, k2: float, p1: f
     return float(np.hypot(fx * dx, fy * dy))
 
 
-def _fisheye(fx: float, fy: float, cx: float, cy: float, *k: float) -> float:
+def _displace_fisheye(fx: float, fy: float, cx: float, cy: float, *k: float) -> float:
     """Kannala-Brandt at the corner, against the pinhole of the same focal length."""
     x, y = cx / fx, cy / fy
     radius = np.hypot(x, y)

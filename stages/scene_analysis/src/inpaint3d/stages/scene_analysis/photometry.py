@@ -93,17 +93,17 @@ def direction_effect(
     one point less than NEAR_DEG apart stay below, the same for pairs more than FAR_DEG apart, and how many far pairs
     there were. What is Lambertian differs by noise alone, equally in both; a reflection more the further apart.
     """
-    first, second = _pairs(seen, np.random.default_rng(seed))
+    first, second = _draw_pairs(seen, np.random.default_rng(seed))
     value = seen.log2_luma - gains[seen.view]
     difference = np.abs(value[first] - value[second])
     ray = centres[seen.view] - xyz[seen.point]
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     angle = np.rad2deg(np.arccos(np.clip(np.sum(ray[first] * ray[second], -1), -1, 1)))
     near, far = angle < NEAR_DEG, angle > FAR_DEG
-    return _typical(difference[near]), _typical(difference[far]), int(far.sum())
+    return _measure_typical(difference[near]), _measure_typical(difference[far]), int(far.sum())
 
 
-def _pairs(seen: Observations, rng: np.random.Generator) -> tuple[Indices, Indices]:
+def _draw_pairs(seen: Observations, rng: np.random.Generator) -> tuple[Indices, Indices]:
     """Random pairs of different observations of one point; with short tracks the same pair may come twice."""
     order = np.argsort(seen.point, kind="stable")
     _, start, count = np.unique(seen.point[order], return_index=True, return_counts=True)
@@ -117,5 +117,5 @@ def _pairs(seen: Observations, rng: np.random.Generator) -> tuple[Indices, Indic
     return order[start[each] + one], order[start[each] + other]
 
 
-def _typical(values: Floats) -> float:
+def _measure_typical(values: Floats) -> float:
     return float(np.quantile(values, QUANTILE)) if values.size else 0.0

@@ -69,7 +69,7 @@ def write_scene(
     """Write the layer, the package and the validators' findings; returns the artifact's metadata."""
     every = np.concatenate([content.mesh.vertices for content in contents])
     low, high = every.min(0), every.max(0)
-    hull = _hull(mask, low, high)
+    hull = _make_hull(mask, low, high)
     scene = Scene(contents, names, cameras, mask.primitives, hull, metres_per_unit)
     write_layer(folder / LAYER, scene)
     write_package(folder / PACKAGE, [(LAYER, folder / LAYER), *((c.texture, folder / c.texture) for c in contents)])
@@ -80,18 +80,18 @@ def write_scene(
         triangles=len(contents[0].mesh.triangles),
         cameras=len(cameras),
         variants=tuple(content.name for content in contents),
-        bounds_min=_vector(low),
-        bounds_max=_vector(high),
+        bounds_min=_to_vector(low),
+        bounds_max=_to_vector(high),
         metres_per_unit=metres_per_unit,
         validation_errors=sum(f.severity == "Error" for f in findings),
     )
 
 
-def _vector(corner: NDArray[np.float64]) -> tuple[float, float, float]:
+def _to_vector(corner: NDArray[np.float64]) -> tuple[float, float, float]:
     return float(corner[0]), float(corner[1]), float(corner[2])
 
 
-def _hull(mask: MaskVolume, low: NDArray[np.float64], high: NDArray[np.float64]) -> Mesh | None:
+def _make_hull(mask: MaskVolume, low: NDArray[np.float64], high: NDArray[np.float64]) -> Mesh | None:
     if not mask.masks:
         return None
     hull = visual_hull(mask.cameras, mask.masks, low, high, HULL_GRID)

@@ -76,7 +76,7 @@ def _write_mesh(stage: Usd.Stage, content: Content) -> None:
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(_extent(points))
+    mesh.CreateExtentAttr(_compute_extent(points))
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(content.coordinates.reshape(-1, 2))))
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_write_material(stage, content.texture))
@@ -168,7 +168,7 @@ def _write_mask(stage: Usd.Stage, scene: Scene) -> None:
         matrix *= Gf.Matrix4d().SetTranslate(Gf.Vec3d(*primitive.centre))
         shape.AddTransformOp().Set(matrix)
         shape.GetPrim().SetCustomDataByKey("inpaint3d:inverted", primitive.inverted)
-        _tint(shape)
+        _set_tint(shape)
     if scene.hull is not None:
         hull = UsdGeom.Mesh.Define(stage, f"{ROOT}/Mask/Hull")
         points = scene.hull.vertices.astype(np.float32)
@@ -177,14 +177,14 @@ def _write_mask(stage: Usd.Stage, scene: Scene) -> None:
         hull.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(triangles), 3, np.int32)))
         hull.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
         hull.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        hull.CreateExtentAttr(_extent(points))
-        _tint(hull)
+        hull.CreateExtentAttr(_compute_extent(points))
+        _set_tint(hull)
 
 
-def _tint(shape: UsdGeom.Gprim) -> None:
+def _set_tint(shape: UsdGeom.Gprim) -> None:
     shape.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(1.0, 0.22, 0.42)]))
     shape.CreateDisplayOpacityAttr(Vt.FloatArray([0.35]))
 
 
-def _extent(points: NDArray[np.float32]) -> Vt.Vec3fArray:
+def _compute_extent(points: NDArray[np.float32]) -> Vt.Vec3fArray:
     return Vt.Vec3fArray([Gf.Vec3f(*map(float, points.min(0))), Gf.Vec3f(*map(float, points.max(0)))])

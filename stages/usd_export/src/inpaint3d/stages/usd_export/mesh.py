@@ -42,7 +42,7 @@ def extract(volume: Volume) -> Mesh:
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     try:
         vertices, triangles, _, _ = marching_cubes(
-            volume.distance, 0.0, mask=_whole_cells(seen), gradient_direction="descent"
+            volume.distance, 0.0, mask=_find_whole_cells(seen), gradient_direction="descent"
         )
     except RuntimeError:  # seen corners of both signs, but never in one cell
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
@@ -50,7 +50,7 @@ def extract(volume: Volume) -> Mesh:
     return remove_slivers(Mesh(placed, triangles.astype(np.int64)))
 
 
-def _whole_cells(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_whole_cells(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Cells [x, y, z] of which all eight corners were seen, each at its last corner, where scikit-image looks."""
     whole = np.zeros_like(seen)
     cells = seen[1:, 1:, 1:].copy()

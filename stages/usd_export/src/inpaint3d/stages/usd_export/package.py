@@ -18,13 +18,13 @@ def write_package(path: Path, files: Sequence[tuple[str, Path]]) -> None:
             info = zipfile.ZipInfo(name, _EPOCH)
             info.create_system = 0
             info.external_attr = 0
-            info.extra = _padding(offset + _HEADER + len(name.encode()))
+            info.extra = _make_padding(offset + _HEADER + len(name.encode()))
             data = source.read_bytes()
             archive.writestr(info, data)
             offset += _HEADER + len(name.encode()) + len(info.extra) + len(data)
 
 
-def _padding(offset: int) -> bytes:
+def _make_padding(offset: int) -> bytes:
     """An extra field (four bytes of its own at least) that moves data from `offset` to a multiple of 64."""
     length = -(offset + 4) % ALIGNMENT
     return _PADDING_ID + length.to_bytes(2, "little") + bytes(length)

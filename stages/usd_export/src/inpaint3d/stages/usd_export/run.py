@@ -46,7 +46,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     contents: list[Content] = []
     bounds = None
     for name, field in fields.items():
-        render = _renderer(field, ctx.device, config.block)
+        render = _make_renderer(field, ctx.device, config.block)
         seen: list[SurfaceView] = []
         for i in chosen:
             seen.append(
@@ -74,7 +74,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     ctx.progress(steps, steps, f"{metadata.triangles} triangles, {metadata.validation_errors} validation errors")
 
 
-def _renderer(
+def _make_renderer(
     artifact: Artifact[RadianceFieldArtifact], device: str, block: int
 ) -> Callable[[Camera], dict[str, NDArray[np.float32]]]:
     """Renders views of the field, which is loaded when the first is asked for: stored views need no network."""

@@ -40,7 +40,7 @@ def surface_view(
     """
     small = reduce_camera(camera, longest_side)
     stored = next((v for v in field.metadata.views if v.name == name), None)
-    if stored is not None and (found := _stored(field, stored, camera, max(small.width, small.height))):
+    if stored is not None and (found := _read_stored(field, stored, camera, max(small.width, small.height))):
         rgb, depth, opacity = found
     else:
         maps = render(small)
@@ -68,7 +68,7 @@ def bounds_of(views: Sequence[SurfaceView], reach: float) -> tuple[NDArray[np.fl
     return np.maximum(low - margin, -reach), np.minimum(high + margin, reach)
 
 
-def _stored(
+def _read_stored(
     field: Artifact[RadianceFieldArtifact], view: FieldView, camera: Camera, longest_side: int
 ) -> tuple[Image, NDArray[np.float32], NDArray[np.float32]] | None:
     maps = read_exr(field.path(view.maps))

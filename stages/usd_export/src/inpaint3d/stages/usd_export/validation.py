@@ -36,7 +36,7 @@ def validate(folder: Path, files: list[str]) -> list[Finding]:
                     validator=validator.GetMetadata().name if validator else "",
                     name=str(error.GetName()),
                     message=error.GetMessage().replace(f"{folder}/", "").replace(str(folder), ""),
-                    sites=sorted({_site(site) for site in error.GetSites()}),
+                    sites=sorted({_describe_site(site) for site in error.GetSites()}),
                 )
             )
     return sorted(findings, key=lambda f: (f.file, f.severity, f.validator, f.name, f.message))
@@ -51,7 +51,7 @@ def as_document(findings: list[Finding]) -> dict[str, object]:
     }
 
 
-def _site(site: UsdValidation.ValidationErrorSite) -> str:
+def _describe_site(site: UsdValidation.ValidationErrorSite) -> str:
     if site.IsPrim():
         return str(site.GetPrim().GetPath())
     if site.IsProperty():

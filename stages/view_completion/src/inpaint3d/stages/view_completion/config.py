@@ -57,7 +57,7 @@ READS: JsonDict = {
 """The optional ports that each method reads; a|b: the first that is wired."""
 
 
-def _named(given: Any) -> Any:
+def _check_named(given: Any) -> Any:
     return {"name": given} if isinstance(given, str) else given
 
 
@@ -65,5 +65,5 @@ class Config(Closed):
     """How the hole is filled."""
 
     method: Annotated[
-        PhotoCompletion | Classical | PriorSamples, Field(discriminator="name"), BeforeValidator(_named)
+        PhotoCompletion | Classical | PriorSamples, Field(discriminator="name"), BeforeValidator(_check_named)
     ] = Field(default=PhotoCompletion(), description="how the hole is filled", json_schema_extra={"x-reads": READS})

@@ -64,14 +64,11 @@ class Draft:
         self.sources = np.where(where, sources, self.sources).astype(np.uint16)
         self.missing = self.missing & ~where
 
-    def note_copies(self, where: Mask, origins: NDArray[np.int64], box: tuple[slice, slice]) -> None:
-        """Remember what `where` [h, w] was copied from: `origins`, y * width + x of the pixels of `box`."""
-        rows, columns = box
-        width = origins.shape[1]
-        place = np.full((*where.shape, 2), -1, np.float32)
-        place[box] = np.stack([origins % width + columns.start, origins // width + rows.start], -1)
-        before = np.full_like(place, -1) if self.copies is None else self.copies
-        self.copies = np.where(where[..., None], place, before).astype(np.float32)
+    def note_copies(self, where: Mask, places: NDArray[np.number]) -> None:
+        """Remember which pixels (x, y) [n, 2] the n pixels of `where` [h, w] were copied from."""
+        if self.copies is None:
+            self.copies = np.full((*where.shape, 2), -1, np.float32)
+        self.copies[where] = places
 
     def settle(self, where: Mask, depth: NDArray[np.floating]) -> None:
         """Take the surface of the unsure cells `where` from `depth`, z [h, w] of the cells."""

@@ -18,28 +18,24 @@ from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.scene.cameras import measure_apart
 from inpaint3d.scene.image_io import Image, Mask
 from inpaint3d.scene.masked_views import MaskedView
-from inpaint3d.scene.morphology import grow, label_parts
 from inpaint3d.scene.paintings import Painting
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, sparse_depth
 from inpaint3d.scene.visibility import enlarge_cells, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.drafts import (
-    MIN_GAP,
     Draft,
     Sources,
     restore_exposure,
     span_unsure,
     start_draft,
 )
-from inpaint3d.stages.view_completion.example import fill_by_example
+from inpaint3d.stages.view_completion.gaps import fill_gaps
 from inpaint3d.stages.view_completion.surfaces import FlatScene
 
-REACH = 1.8
-"""Patches are copied from surfaces this much further from the middle of a gap than its own edge is, in space."""
 MIN_SHARE = 0.01
 """Share of a hole below which its gaps are not worth another reference view."""
-PAINTED, EXAMPLE, SMOOTH = (SOURCE_CODES[name] for name in ("painted", "example", "smooth"))
+PAINTED, SMOOTH = SOURCE_CODES["painted"], SOURCE_CODES["smooth"]
 
 Tick = Callable[[int, int, str], None]
 
@@ -88,7 +84,7 @@ def complete_from_photos(
         references.append(reference.view.name)
         say(steps - 1 - method.max_reference_views + len(references), steps, f"making up {reference.view.name}")
         span_unsure(reference)
-        _fill_gaps(reference, method.variety, seed, device)
+        fill_gaps(reference, method, seed, device)
         _carry_to_others(reference, drafts)
     for draft in drafts:
         span_unsure(draft)
@@ -195,31 +191,6 @@ def find_contradictions(painted: Sequence[Draft]) -> list[Contradiction]:
                 )
             )
     return found
-
-
-def _fill_gaps(draft: Draft, variety: float, seed: int, device: str) -> None:
-    """Close the cracks, then fill each gap by example from the surfaces around it."""
-    gaps = draft.gaps
-    cracks = draft.missing & ~grow(gaps, 1)
-    draft.fill(cracks, fill_telea(draft.picture, draft.missing), SMOOTH)
-    points = draft.view.camera.unproject(draft.view.camera.pixel_centres(), draft.depth)
-    parts, count = label_parts(draft.missing)
-    for part in range(1, count + 1):
-        gap = parts == part
-        middle = np.median(points[gap], 0)
-        apart = np.linalg.norm(points - middle, axis=-1)
-        near = apart < REACH * np.quantile(apart[gap], 0.9)
-        source = near & ~draft.missing & (draft.view.known | draft.view.hole)
-        rows, columns = (slice(max(0, a.min() - MIN_GAP), a.max() + 1 + MIN_GAP) for a in np.nonzero(gap | source))
-        box = (rows, columns)
-        colours = draft.picture.copy()
-        blank = draft.missing | ~(draft.view.known | draft.view.hole)
-        colours[box], origins = fill_by_example(
-            draft.picture[box], blank[box], source[box], variety=variety, seed=seed, device=device
-        )
-        if origins is not None:
-            draft.note_copies(gap, origins, box)
-        draft.fill(gap, colours, EXAMPLE)
 
 
 def _carry_to_others(reference: Draft, drafts: Sequence[Draft]) -> None:

@@ -68,7 +68,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
             made, summary = complete_classically(scene.train), "every view on its own, by Telea's method"
         case PriorSamples() as method:
             made, summary = _sample(method, scene.train, field, inputs, ctx)
-    for doubt in doubt_completion(measure_completions(_holes(made, scene.train))):
+    for doubt in doubt_completion(measure_completions(_collect_holes(made, scene.train))):
         ctx.doubt(doubt)
     folder = outputs.folder("completed-views")
     metadata = write_completions(folder, made, method=config.method.name, summary=summary, reference_views=references)
@@ -77,7 +77,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     ctx.progress(1, 1, "completed")
 
 
-def _holes(made: Sequence[Completion], views: Views) -> list[CompletedHole]:
+def _collect_holes(made: Sequence[Completion], views: Views) -> list[CompletedHole]:
     cameras = {view.name: view.camera for view in views}
     return [
         CompletedHole.of(cameras[one.name], one.picture, one.depth, one.sources > 0)

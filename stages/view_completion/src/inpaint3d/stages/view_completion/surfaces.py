@@ -1,4 +1,4 @@
-"""Planes of the scene, found in its sparse points, and depth maps that keep to them.
+"""Depth maps that keep to the planes of the scene.
 
 What a mask hides, a field has seen from few sides: its depth there is soft, and colours that are taken from other
 photos by it come from beside the place that is meant. Most of what people build is flat, and triangulated points say
@@ -12,51 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import Mask
 from inpaint3d.scene.masked_views import MaskedView
+from inpaint3d.scene.planes import PLANE_PIXELS, Plane, fit_planes
 from inpaint3d.scene.visibility import CoarseView
 
-Array = NDArray[np.float64]
-
-PLANE_PIXELS = 1.5
-"""Pixels that a sparse point on a plane may lie off it, seen at the middle depth."""
-TRIALS = 500
-"""Triples of points that are tried for one plane."""
-MIN_POINTS = 60
-"""Points on a plane, at least."""
-MAX_PLANES = 12
-MIN_CONTRAST = 0.6
-"""Share of the points within three times the tolerance that lie within one: a third in clutter, 1 on a clean plane."""
-MIN_BREADTH = 5.0
-"""How many times the tolerance the points of a plane spread in the narrower of its directions, standard deviation."""
 MAX_CHANGE = 0.15
 """Share by which a depth may change: where a ray grazes a plane it meets it anywhere."""
-
-
-@dataclass(frozen=True, eq=False)
-class Plane:
-    """All x with normal . x = offset; normal [3] has unit length, offset is in scene units."""
-
-    normal: Array
-    offset: float
-
-    @classmethod
-    def fit(cls, points: Array) -> "Plane":
-        """The plane of least squared distances to points [n, 3], n >= 3."""
-        middle = points.mean(0)
-        normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
-        return cls(normal, float(normal @ middle))
-
-    def distance(self, points: Array) -> Array:
-        """How far points [..., 3] lie off it, scene units."""
-        return np.abs(points @ self.normal - self.offset)
-
-    def depth(self, camera: Camera, pixels: Array) -> Array:
-        """Depth z at which a camera sees it at pixels [n, 2]; inf where it does not."""
-        towards = camera.unproject(pixels, np.ones(len(pixels))) - camera.centre
-        ahead, off = towards @ self.normal, self.offset - camera.centre @ self.normal
-        depth = np.divide(off, ahead, out=np.full(len(pixels), np.inf), where=ahead != 0)
-        return np.where(depth > 0, depth, np.inf)
 
 
 @dataclass(frozen=True)
@@ -79,27 +40,6 @@ class FlatScene:
         return replace(coarse, depth=snap_to_planes(coarse.depth, coarse.camera, self.planes, times * self.tolerance))
 
 
-def fit_planes(points: NDArray[np.floating], tolerance: float) -> list[Plane]:
-    """Planes that hold at least MIN_POINTS of the points [n, 3] within `tolerance` (scene units), largest first.
-
-    Random sample consensus (Fischler and Bolles 1981, doi:10.1145/358669.358692), one plane after another. A slab of
-    cluttered points is none, since as many lie beside it as in it, and neither is a row of points, which lie on planes
-    of any direction. The same points give the same planes.
-    """
-    rng = np.random.default_rng(0)
-    rest, planes = points.astype(np.float64), list[Plane]()
-    for _ in range(MAX_PLANES):
-        if len(rest) < MIN_POINTS or (inside := _find_consensus(rest, tolerance, rng)).sum() < MIN_POINTS:
-            break
-        plane = Plane.fit(rest[inside])
-        inside = plane.distance(rest) < tolerance
-        around = plane.distance(points.astype(np.float64)) < 3 * tolerance
-        if inside.sum() >= MIN_CONTRAST * around.sum() and _breadth(rest[inside]) > MIN_BREADTH * tolerance:
-            planes.append(plane)
-        rest = rest[~inside]
-    return planes
-
-
 def snap_to_planes(
     depth: NDArray[np.floating], camera: Camera, planes: Sequence[Plane], reach: NDArray[np.floating] | float
 ) -> NDArray[np.float32]:
@@ -116,24 +56,3 @@ def snap_to_planes(
         better = (apart < nearest) & (np.abs(there - given) < MAX_CHANGE * given)
         nearest, moved = np.where(better, apart, nearest), np.where(better, there, moved)
     return moved.reshape(depth.shape).astype(np.float32)
-
-
-def _breadth(points: Array) -> float:
-    """Standard deviation of points [n, 3] along the second of their principal directions."""
-    return float(np.linalg.svd(points - points.mean(0), compute_uv=False)[1] / np.sqrt(len(points)))
-
-
-def _find_consensus(points: Array, tolerance: float, rng: np.random.Generator) -> Mask:
-    """Which points the plane through three of them has within tolerance, for the best of some triples."""
-    best = np.zeros(len(points), bool)
-    for _ in range(TRIALS):
-        first, second, third = points[rng.choice(len(points), 3, replace=False)]
-        normal = np.cross(second - first, third - first)
-        length = np.linalg.norm(normal)
-        # Three points that are nearly one, or in a line, tell of no plane.
-        if length <= tolerance**2:
-            continue
-        inside = np.abs((points - first) @ (normal / length)) < tolerance
-        if inside.sum() > best.sum():
-            best = inside
-    return best

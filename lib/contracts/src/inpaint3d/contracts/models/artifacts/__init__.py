@@ -15,7 +15,8 @@ from inpaint3d.contracts.models.artifacts.completion import (
 from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan
 from inpaint3d.contracts.models.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
 from inpaint3d.contracts.models.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
-from inpaint3d.contracts.models.artifacts.masks import MaskRequest, MaskSet, MaskView, Primitive
+from inpaint3d.contracts.models.artifacts.mask_sets import MaskSet, MaskView, NamedMask, Primitive, ViewOrder
+from inpaint3d.contracts.models.artifacts.masks import MaskRequest
 from inpaint3d.contracts.models.artifacts.plates import Canvas, CleanPlate, CleanPlates, PlateConsistency
 from inpaint3d.contracts.models.artifacts.posed import (
     LensModel,
@@ -78,6 +79,7 @@ __all__ = [
     "MaskView",
     "Metric",
     "MetricScale",
+    "NamedMask",
     "PaintedView",
     "PaintedViews",
     "Painting",
@@ -93,4 +95,5 @@ __all__ = [
     "Source",
     "Truth",
     "UsdScene",
+    "ViewOrder",
 ]

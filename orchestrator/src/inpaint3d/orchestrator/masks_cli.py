@@ -1,0 +1,101 @@
+"""`inpaint3d masks`: a page on which a person points at what is to go."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from inpaint3d.contracts.errors import BadInputError, InterruptedRun
+from inpaint3d.contracts.kit.confine import select_environment
+from inpaint3d.contracts.kit.shim import thread_environment
+from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.models.report import RunRecord
+from inpaint3d.contracts.store import Store, open_store
+from inpaint3d.orchestrator import saved_mask
+from inpaint3d.orchestrator.history import History
+from inpaint3d.orchestrator.intake import name_run
+from inpaint3d.orchestrator.options import Name, Places, Request, with_options
+from inpaint3d.orchestrator.plan import Selection
+from inpaint3d.orchestrator.progress import choose_display
+from inpaint3d.orchestrator.request import ConfiguredRequest
+from inpaint3d.orchestrator.run import Scheduler
+from inpaint3d.orchestrator.run_folder import check_capture, own_folder
+
+masks_app = typer.Typer(no_args_is_help=True, help="What is to go, pointed at on a page.")
+
+STAGE = "inpaint3d.stages.mask_authoring"
+INGEST = "capture-ingest"
+SHOWN = {
+    "capture": (INGEST, "capture"),
+    "posed-capture": ("pose-estimation", "posed-capture"),
+    "radiance-field": ("nerf-pretraining", "radiance-field"),
+}
+"""What the page shows, as far as a run has it: option of the stage's command -> node and port."""
+THREADS = 1  # what the stage itself asks for
+END_S = 5.0
+
+
+@masks_app.callback()
+def _masks() -> None:
+    """What is to go, pointed at on a page."""
+
+
+@masks_app.command()
+@with_options
+def edit(
+    capture: Annotated[str, typer.Argument(help="name of a run, or the capture that it is of")],
+    places: Places,
+    name: Name = None,
+    port: Annotated[int, typer.Option(help="of this machine; default: any that is free")] = 0,
+) -> None:
+    """Serve a page on which a person points at what is to go, and sees the masks in every view; until Ctrl-C.
+
+    Before a run has cameras and a field, masks are shown on the picture pointed at. What is saved is the mask request
+    of the next `run` of the name.
+    """
+    store = open_store(places.store)
+    with store.shared():
+        record = _find_run(store, capture, places, name)
+        outputs = {node.node: node.outputs for node in record.nodes}
+        shown = {option: outputs.get(node, {}).get(output) for option, (node, output) in SHOWN.items()}
+        if shown["capture"] is None:
+            why = next((f": {node.error}" for node in record.nodes if node.error), "")
+            raise BadInputError(f"{record.name} has no pictures yet{why}; `inpaint3d run` it first")
+        then = saved_mask.command_to_run(record.name, capture if Path(capture).exists() else "PHOTOS", places)
+        target = str(saved_mask.path_of(places.runs_dir / record.name))
+        code = _serve(store, shown, ["--save", target, "--title", record.name, "--then", then, "--port", str(port)])
+    raise typer.Exit(code)
+
+
+def _find_run(store: Store, capture: str, places: Places, name: str | None) -> RunRecord:
+    """The last run of a name or of a capture; of a capture that was never run, its pictures are read."""
+    path = Path(capture)
+    if not path.exists():
+        return History(store).latest(capture)
+    selection = Selection(until=INGEST)
+    planner = ConfiguredRequest(Request(), selection).planner(store, path, name_run(path, name))
+    check_capture(planner, replace=False)
+    for record in planner.history.of(planner.name):
+        return record
+    folder = places.runs_dir / planner.name
+    with own_folder(folder):
+        return Scheduler(planner, selection, choose_display("auto", planner.pipeline.order), folder).run()
+
+
+def _serve(store: Store, shown: Mapping[str, Digest | None], options: list[str]) -> int:
+    """The stage's own process, until it ends; its exit code."""
+    line = [sys.executable, "-m", STAGE, "edit", "--store", store.place, "--die-with-parent", *options]
+    line += [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
+    process = subprocess.Popen(line, env=select_environment(os.environ) | thread_environment(THREADS))
+    try:
+        return process.wait()
+    except KeyboardInterrupt:  # the terminal has told the page too
+        try:
+            return process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return InterruptedRun.exit_code

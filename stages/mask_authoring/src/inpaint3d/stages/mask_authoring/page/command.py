@@ -1,0 +1,77 @@
+"""The stage's command `edit`: serves the page until it is interrupted."""
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+import cv2
+
+from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun, from_os_error
+from inpaint3d.contracts.kit.confine import confine, die_with_parent
+from inpaint3d.contracts.models.artifacts import Capture, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.store import Artifact, open_store
+from inpaint3d.stages.mask_authoring.config import Config
+from inpaint3d.stages.mask_authoring.page.editor import Editor
+from inpaint3d.stages.mask_authoring.page.pictures import open_subject
+from inpaint3d.stages.mask_authoring.page.server import PageServer
+
+THREADS = 1  # what the stage itself has, so that the page shows the masks that it will make
+
+
+def edit(arguments: list[str]) -> NoReturn:
+    """Serve the page, and exit with a code of `inpaint3d.contracts.errors`."""
+    options = _parse(arguments)
+    try:
+        _serve(options)
+    except KeyboardInterrupt:
+        sys.exit(0)
+    except (Inpaint3dError, OSError) as error:
+        failure = from_os_error(error) if isinstance(error, OSError) else error
+        sys.stderr.write(f"inpaint3d: {failure.kind}: {failure}\n")
+        sys.exit(failure.exit_code)
+    sys.exit(0)
+
+
+def _parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m inpaint3d.stages.mask_authoring edit", description=__doc__)
+    parser.add_argument("--store", required=True, help="a folder, or s3://BUCKET/PREFIX")
+    parser.add_argument("--capture", required=True, help="digest of the capture")
+    parser.add_argument("--posed-capture", help="digest; without one pictures are shown as they are")
+    parser.add_argument("--radiance-field", help="digest; without one masks are not carried")
+    parser.add_argument("--save", type=Path, required=True, help="file for the mask request")
+    parser.add_argument("--title", default="", help="what is edited")
+    parser.add_argument("--then", default="", help="the command that goes on with what was saved")
+    parser.add_argument("--port", type=int, default=0, help="default: any that is free")
+    parser.add_argument("--die-with-parent", action="store_true", help="end when whoever started this ends")
+    return parser.parse_args(arguments)
+
+
+def _serve(options: argparse.Namespace) -> None:
+    signal.signal(signal.SIGTERM, _leave)
+    confine()
+    if options.die_with_parent:
+        die_with_parent()
+    cv2.setNumThreads(THREADS)
+    store = open_store(options.store)
+
+    def open_optional(digest: str | None, model: Any) -> Artifact[Any] | None:
+        return store.open(digest, model) if digest else None
+
+    subject = open_subject(
+        store.open(options.capture, Capture),
+        open_optional(options.posed_capture, PosedCapture),
+        open_optional(options.radiance_field, RadianceFieldArtifact),
+    )
+    editor = Editor(options.title, subject, options.save, options.then, Config())
+    with contextlib.closing(editor), PageServer(editor.get, editor.post, options.port) as server:
+        sys.stdout.write(f"open {server.url} in a browser of this machine; Ctrl-C here ends it\n")
+        sys.stdout.flush()
+        server.serve_forever()
+
+
+def _leave(_number: int, _frame: object) -> NoReturn:
+    os._exit(InterruptedRun.exit_code)

@@ -1,0 +1,146 @@
+"""What the page asks and is told: pictures, the mask on a view, masks carried to the others, and saving."""
+
+import mimetypes
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import cache, lru_cache
+from http import HTTPStatus
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.artifacts import MaskRequest
+from inpaint3d.contracts.models.base import Closed, FrameName
+from inpaint3d.stages.mask_authoring.config import Config
+from inpaint3d.stages.mask_authoring.page.carrying import Carrier
+from inpaint3d.stages.mask_authoring.page.masks import check_request, mask_at_once, trace_outline
+from inpaint3d.stages.mask_authoring.page.pictures import PICTURE_SIDE, THUMBNAIL_SIDE, Subject
+from inpaint3d.stages.mask_authoring.page.saving import read_request, write_request
+from inpaint3d.stages.mask_authoring.page.server import Answer, Refusal, answer_json
+
+PACKAGE = "inpaint3d.stages.mask_authoring.page"
+BUNDLE = ("index.html", "page.js", "page.css", "icon.svg")
+KEPT_PICTURES = 64
+SIDES = {"frames": PICTURE_SIDE, "thumbnails": THUMBNAIL_SIDE}
+
+
+class MaskQuestion(Closed):
+    """The mask that a request gives on a view."""
+
+    request: MaskRequest
+    view: FrameName
+
+
+class CarryQuestion(Closed):
+    """A request to carry to all views from now on."""
+
+    request: MaskRequest
+
+
+class ProgressQuestion(Closed):
+    """How far carrying is; outlines are sent where there are others than those of `revision`."""
+
+    revision: Annotated[int, Field(ge=0)]
+
+
+class SaveQuestion(Closed):
+    request: MaskRequest
+
+
+class Editor:
+    """The page of one capture. `saved`: the file for requests; `then`: the command that goes on with it."""
+
+    def __init__(self, title: str, subject: Subject, saved: Path, then: str, config: Config, seed: int = 0) -> None:
+        self._title, self._subject, self._saved, self._then = title, subject, saved, then
+        self._config, self._seed = config, seed
+        self._one_at_a_time = threading.Lock()
+        self._encode = lru_cache(maxsize=KEPT_PICTURES)(subject.picture)
+        self._carrier = Carrier(subject, config, seed)
+        self._carrier.start()
+        self._methods: dict[str, tuple[type[Closed], Callable[[Any], dict[str, Any]]]] = {
+            "mask": (MaskQuestion, self._mask),
+            "carry": (CarryQuestion, self._carry),
+            "progress": (ProgressQuestion, self._progress),
+            "save": (SaveQuestion, self._save),
+        }
+
+    def close(self) -> None:
+        """End what is at work in the background."""
+        self._carrier.close()
+
+    def get(self, path: str) -> Answer:
+        """A file of the bundle, a view's picture, or what the page begins with."""
+        if path == "scene":
+            return answer_json(self._describe())
+        folder, _, name = path.partition("/")
+        if folder in SIDES and name.endswith(".jpg"):
+            return Answer(self._picture(name.removesuffix(".jpg"), SIDES[folder]), "image/jpeg")
+        if (file := path or BUNDLE[0]) in BUNDLE:
+            return Answer(_read_bundle(file), mimetypes.guess_type(file)[0] or "text/plain")
+        raise Refusal(HTTPStatus.NOT_FOUND, "there is no such thing here")
+
+    def post(self, path: str, value: Any) -> Answer:
+        """Answer a question; ValidationError where it is none."""
+        if path not in self._methods:
+            raise Refusal(HTTPStatus.NOT_FOUND, "there is no such thing here")
+        model, method = self._methods[path]
+        return answer_json(method(model.model_validate(value)))
+
+    def _describe(self) -> dict[str, Any]:
+        frames = [
+            {"name": name, "size": self._subject.picture_size(index)}
+            for index, name in enumerate(self._subject.names())
+        ]
+        saved, problem = None, None
+        try:
+            request = read_request(self._saved)
+            saved = request.model_dump(mode="json") if request else None
+        except ConfigurationError as error:
+            problem = str(error)
+        return {
+            "title": self._title, "frames": frames, "missing": self._subject.missing, "saved": saved,
+            "problem": problem, "file": str(self._saved), "then": self._then,
+        }  # fmt: skip
+
+    def _picture(self, name: str, longest: int) -> bytes:
+        with self._one_at_a_time:  # a decoded photo is large
+            return self._encode(self._find_view(name), longest)
+
+    def _find_view(self, name: str) -> int:
+        names = self._subject.names()
+        if name not in names:
+            raise Refusal(HTTPStatus.NOT_FOUND, "there is no view of this name")
+        return names.index(name)
+
+    def _mask(self, question: MaskQuestion) -> dict[str, Any]:
+        view = self._find_view(question.view)
+        check_request(question.request.mask, self._subject)
+        mask = mask_at_once(question.request.mask, self._subject, question.view, self._config, self._seed)
+        if mask is None:
+            return {"outline": None, "share": None}
+        size = self._subject.picture_size(view)
+        return {"outline": trace_outline(mask, *size), "share": float(mask.mean())}
+
+    def _carry(self, question: CarryQuestion) -> dict[str, Any]:
+        if self._subject.missing is not None:
+            raise ConfigurationError(self._subject.missing)
+        check_request(question.request.mask, self._subject)
+        return {"number": self._carrier.ask(question.request)}
+
+    def _progress(self, question: ProgressQuestion) -> dict[str, Any]:
+        state = asdict(self._carrier.state())
+        return state if question.revision != state["revision"] else state | {"outlines": None, "shares": None}
+
+    def _save(self, question: SaveQuestion) -> dict[str, Any]:
+        check_request(question.request.mask, self._subject)
+        write_request(self._saved, question.request)
+        return {"file": str(self._saved), "then": self._then}
+
+
+@cache
+def _read_bundle(name: str) -> bytes:
+    return files(PACKAGE).joinpath("bundle", name).read_bytes()
