@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, FieldSpec, FieldView, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.scene.image_io import write_exr, write_png
+from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
+from tests.mask_bench import field
 from tests.room_artifacts import put_posed
 
 
@@ -32,7 +33,7 @@ class Room:
 def build_room(folder: Path, views: int = 5, width: int = 120, height: int = 90) -> Room:
     store = FolderStore(folder)
     scene = synthetic_scene(views=views, width=width, height=height, arc_deg=60)
-    return Room(store, scene, put_capture(store, scene), put_posed(store, scene, scene.images), put_field(store, scene))
+    return Room(store, scene, put_capture(store, scene), put_posed(store, scene, scene.images), field(store, scene))
 
 
 def put_capture(store: FolderStore, scene: SyntheticScene) -> Digest:
@@ -42,18 +43,3 @@ def put_capture(store: FolderStore, scene: SyntheticScene) -> Digest:
         height, width = image.shape[:2]
         frames.append(CapturedFrame(name=name, path=f"frames/{name}.png", width=width, height=height))
     return store.put(folder, "capture", Capture(layout="photos", ordered=True, frames=tuple(frames)))
-
-
-def put_field(store: FolderStore, scene: SyntheticScene) -> Digest:
-    folder, views = store.private_folder(), []
-    for name, depth, image in zip(scene.names, scene.depths, scene.images, strict=True):
-        half = depth[::2, ::2]
-        write_exr(folder / f"views/{name}.exr", {"depth.Z": half, "median.Z": half, "opacity.A": np.ones_like(half)})
-        write_png(folder / f"views/{name}.png", image)
-        views.append(FieldView(name=name, maps=f"views/{name}.exr", picture=f"views/{name}.png"))
-    (folder / "weights.safetensors").write_bytes(b"not read here")
-    (folder / "learning_curve.csv").write_text("step\n")
-    metadata = RadianceFieldArtifact(
-        label="pretrained", spec=FieldSpec(), views=tuple(views), steps=1, seed=0, backend="exact"
-    )
-    return store.put(folder, "radiance-field", metadata)
