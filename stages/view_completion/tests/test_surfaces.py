@@ -10,11 +10,6 @@ from inpaint3d.stages.view_completion.surfaces import snap_to_planes
 TOLERANCE = 0.01
 
 
-def points_on(normal: np.ndarray, offset: float, count: int, rng: np.random.Generator) -> np.ndarray:
-    across = np.linalg.svd(normal[None])[2][1:]
-    return offset * normal + rng.uniform(-1, 1, (count, 2)) @ across + rng.normal(0, 0.2 * TOLERANCE, (count, 3))
-
-
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(1)
