@@ -68,6 +68,7 @@ class Argo:
         given = {p["name"]: p["value"] for p in workflow["spec"]["arguments"]["parameters"]}
         scope = {f"workflow.parameters.{n}": v for n, v in given.items()}
         name = scope["workflow.name"] = workflow["metadata"]["name"]
+        scope["workflow.creationTimestamp"] = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         try:
             self._run(spec["entrypoint"], {}, scope, name, "")
             phase = "Succeeded"

@@ -16,6 +16,7 @@ from inpaint3d.contracts.store import FolderStore, Record, open_store
 from inpaint3d.orchestrator import cluster as clusters
 from inpaint3d.orchestrator.emit.argo import LEFT_OUT
 from inpaint3d.orchestrator.emit.check import check
+from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.workflows import list_rows
 from tests.conftest import REPOSITORY
@@ -109,6 +110,26 @@ def test_the_record_of_scenes_that_are_gone_is_an_error(cli, store):
     result = cli("record", "test", "--store", str(store.root), "--scenes", '[{"name": "hall"}]')
     assert result.returncode == 2
     assert "test has no scene hall: it was emitted again with other scenes" in result.stderr
+
+
+def test_a_record_says_how_long_its_workflow_took(cli, store):
+    clusters.prepare(store, TOY, cluster(), submission(TOY))
+    began = datetime.datetime.now(datetime.UTC) - datetime.timedelta(minutes=40)
+    place = ("--store", str(store.root), "--pipeline", str(TOY.path))
+    result = cli("record", "test", *place, "--since", began.strftime("%Y-%m-%dT%H:%M:%SZ"))
+    assert result.returncode == 0, result.stderr
+    for scene in submission(TOY).scenes:
+        run = History(store).latest(scene.name)
+        assert 2400 <= run.wall_s < 3000
+        assert datetime.datetime.fromisoformat(run.started) == began.replace(microsecond=0)
+
+
+@pytest.mark.parametrize("since", ["yesterday", "2026-05-01T10:35:56", "{{workflow.creationTimestamp}}"])
+def test_a_time_that_is_none_is_refused(cli, store, since):
+    clusters.prepare(store, TOY, cluster(), submission(TOY))
+    result = cli("record", "test", "--store", str(store.root), "--since", since)
+    assert result.returncode == 2
+    assert f"--since {since!r} is no time; give one with its zone" in result.stderr
 
 
 @pytest.mark.parametrize("flags", [(), ("--compare",)])

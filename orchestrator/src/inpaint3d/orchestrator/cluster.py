@@ -186,9 +186,15 @@ def _place(name: str) -> str:
     return f"submissions/{name}.json"
 
 
-def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[RunRecord]:
-    """Write a record of each scene's run, from what the store has under the keys that the scene has now."""
+def record(
+    store: Store, pipeline: Pipeline, submission: Submission, since: datetime.datetime | None = None
+) -> list[RunRecord]:
+    """Write a record of each scene's run, from what the store has under the keys that the scene has now.
+
+    since: when the scenes' Workflow was made; None where nobody knows, and the records then have no duration.
+    """
     now = datetime.datetime.now(datetime.UTC)
+    wall_s = None if since is None else round(max(0.0, (now - since).total_seconds()), 3)
     records: list[RunRecord] = []
     configured = configure_submission(pipeline, submission)
     for scene in submission.scenes:
@@ -200,8 +206,9 @@ def record(store: Store, pipeline: Pipeline, submission: Submission) -> list[Run
             preset=submission.preset,
             externals=scene.externals,
             status="done" if all(r.status in ("cached", "left-out") for r in rows) else "failed",
-            started=now.isoformat(),
+            started=(since or now).isoformat(),
             finished=now.isoformat(),
+            wall_s=wall_s,
             machine=this_machine(),
             nodes=tuple(rows),
         )

@@ -192,10 +192,12 @@ def _say_each(workflows: dict[str, str]) -> None:
 def record(
     name: str,
     scenes: Annotated[str | None, typer.Option(help="of these alone: a Workflow's JSON list of scenes")] = None,
+    since: Annotated[str | None, typer.Option(help="when the Workflow was made (RFC 3339)")] = None,
     store: StorePath = STORE,
     pipeline: PipelinePath = None,
 ) -> None:
     """Write the record of every scene of a submission to the store: the exit handler of a Workflow."""
+    began = None if since is None else _read_time(since)
     opened = open_store(store)
     submission = clusters.load_submission(opened, name)
     if scenes is not None:
@@ -203,8 +205,19 @@ def record(
         if gone := sorted(names - {s.name for s in submission.scenes}):
             raise ConfigurationError(f"{name} has no scene {', '.join(gone)}: it was emitted again with other scenes")
         submission = submission.model_copy(update={"scenes": tuple(s for s in submission.scenes if s.name in names)})
-    for run in clusters.record(opened, Pipeline(find_pipeline(pipeline)), submission):
+    for run in clusters.record(opened, Pipeline(find_pipeline(pipeline)), submission, began):
         sys.stdout.write(f"{run.name}: {run.status}\n")
+
+
+def _read_time(text: str) -> datetime.datetime:
+    """An RFC 3339 time; ConfigurationError where it is none, or names no zone."""
+    try:
+        time = datetime.datetime.fromisoformat(text)
+    except ValueError:
+        time = None
+    if time is None or time.tzinfo is None:
+        raise ConfigurationError(f"--since {text!r} is no time; give one with its zone, such as 2026-05-01T10:35:56Z")
+    return time
 
 
 def give_mask(name: str, scene: str, request: Path, cluster: Cluster = CLUSTER) -> None:

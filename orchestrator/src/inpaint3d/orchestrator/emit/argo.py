@@ -242,13 +242,13 @@ def _await(external: str) -> Document:
 
 def _record(cluster: ClusterSpec, submission: Submission) -> Document:
     """The exit handler: writes the record of every scene's run to the store, however the Workflow ended."""
-    scenes = "{{workflow.parameters.scenes}}"
+    scenes, since = "{{workflow.parameters.scenes}}", "{{workflow.creationTimestamp}}"
     template = write_pod(
         cluster,
         submission,
         RECORDER,
         command=["inpaint3d"],
-        args=["record", submission.name, "--store", cluster.spec.store, "--scenes", scenes],
+        args=["record", submission.name, "--store", cluster.spec.store, "--scenes", scenes, "--since", since],
         resources={"requests": {"cpu": "100m", "memory": "256Mi"}, "limits": {"cpu": "1", "memory": "1Gi"}},
     )
     return template | {"name": "record", "activeDeadlineSeconds": 3600}

@@ -24,7 +24,7 @@ from inpaint3d.orchestrator.emit.policy import ACCOUNT_KINDS, View, check_policy
 from inpaint3d.orchestrator.parameters import resolve_parameters
 
 PLACEHOLDER = re.compile(r"\{\{\s*([^{}]+?)\s*\}\}")
-GLOBAL = {"workflow.name", "workflow.status", "workflow.namespace", "workflow.uid"}
+GLOBAL = {"workflow.name", "workflow.status", "workflow.namespace", "workflow.uid", "workflow.creationTimestamp"}
 ANY_DIGEST = "sha256:" + "0" * 64
 
 
