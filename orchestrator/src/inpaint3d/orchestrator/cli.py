@@ -21,6 +21,7 @@ from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import open_store
+from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
@@ -42,7 +43,7 @@ from inpaint3d.orchestrator.options import (
 )
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, preview
 from inpaint3d.orchestrator.progress import choose_display
-from inpaint3d.orchestrator.publish import publish, read_report
+from inpaint3d.orchestrator.publish import REPORT, publish, read_report
 from inpaint3d.orchestrator.request import ConfiguredRequest
 from inpaint3d.orchestrator.run import Scheduler
 from inpaint3d.orchestrator.run_folder import check_capture, own_folder
@@ -170,7 +171,9 @@ def _carry_out(
         said = ", ".join(f"{node} ({reason})" for node, reason in left_out.items())
         _say(f"{planner.name}: left out: {said}")
     display = choose_display(log_format, planner.pipeline.order)
-    scheduler = Scheduler(planner, selection, display, folder, runner, accept_doubtful=accept_doubtful)
+    command = ("inpaint3d", *sys.argv[1:])
+    scheduler = Scheduler(planner, selection, display, folder, runner, accept_doubtful=accept_doubtful, command=command)
+    remove(folder / REPORT)  # a run that is killed leaves none: that of an earlier one would speak for it
     try:
         record = scheduler.run()
     except BaseException:
@@ -178,7 +181,9 @@ def _carry_out(
             publish(planner.store, scheduler.record, folder)
         raise
     publish(planner.store, record, folder)
-    return record, _conclude(record, folder)
+    code = _conclude(record, folder)
+    _say(f"Report: {folder / REPORT}")
+    return record, code
 
 
 def _say(line: str) -> None:
