@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
@@ -52,7 +53,26 @@ from inpaint3d.orchestrator.runners.process import ProcessRunner, Runner
 from inpaint3d.orchestrator.saved_mask import command_to_edit, path_of, use_saved
 from inpaint3d.orchestrator.tables import printable, show_nodes, show_scores
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="3D scene inpainting as a pipeline of stages.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"inpaint3d {metadata.version('inpaint3d-orchestrator')}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def inpaint3d(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version, and end.")
+    ] = False,
+) -> None:
+    """3D scene inpainting as a pipeline of stages."""
 
 
 def main() -> None:
@@ -238,7 +258,7 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 def add_other_commands() -> typer.Typer:
     """The program with the commands of all modules."""
-    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli
+    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli, params_cli
 
     app.add_typer(cluster_cli.emit_app, name="emit")
     app.add_typer(dev_cli.dev_app, name="dev")
@@ -246,4 +266,5 @@ def add_other_commands() -> typer.Typer:
     app.add_typer(paint_cli.paint_app, name="paint")
     cluster_cli.add_to(app)
     history_cli.add_to(app)
+    params_cli.add_to(app)
     return app
