@@ -7,24 +7,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from shutil import which
 
 import pytest
 import yaml
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, expect
 
 from inpaint3d.contracts.kit.upstream import invoke
 from inpaint3d.contracts.models.artifacts import MaskRequest, MaskRequestArtifact, MaskSet
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.scene.image_io import read_mask
+from tests.browser import LAPTOP, PATIENCE_MS, TABLET, find_violations, launch, open_page, overflows
 from tests.conftest import REPOSITORY
 from tests.page.room import Room, build_room
-
-AXE = REPOSITORY / "stages/mask_authoring/page/node_modules/axe-core/axe.min.js"
-RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
-LAPTOP, TABLET = {"width": 1280, "height": 800}, {"width": 820, "height": 1180}
-PATIENCE_MS = 60_000  # a machine that does other work
 
 
 @pytest.fixture(scope="module")
@@ -34,12 +29,8 @@ def room(tmp_path_factory) -> Room:
 
 @pytest.fixture(scope="module")
 def browser():
-    if (chromium := which("chromium") or which("chromium-browser")) is None:
-        pytest.skip("there is no chromium here (`make browser`)")
-    with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+    with launch() as launched:
         yield launched
-        launched.close()
 
 
 @contextmanager
@@ -75,7 +66,7 @@ def address(room, saved) -> Iterator[str]:
 def person(browser, room, address, saved) -> Iterator["Person"]:
     """At a page that begins with nothing."""
     saved.unlink(missing_ok=True)
-    with open_page(browser, room, address, saved) as somebody:
+    with meet(browser, room, address, saved) as somebody:
         yield somebody
 
 
@@ -129,19 +120,11 @@ class Person:
 
 
 @contextmanager
-def open_page(browser, room: Room, url: str, saved: Path) -> Iterator[Person]:
-    """A person at a page; what the browser complains of is an error."""
-    complaints: list[str] = []
-    context = browser.new_context(viewport=LAPTOP)
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    page.on("console", lambda message: complaints.append(message.text))
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.goto(url)
-    expect(page.locator("#strip button")).to_have_count(len(room.scene.names))
-    yield Person(page, room, saved)
-    context.close()
-    assert complaints == []
+def meet(browser, room: Room, url: str, saved: Path) -> Iterator[Person]:
+    """A person at a page."""
+    with open_page(browser, url) as page:
+        expect(page.locator("#strip button")).to_have_count(len(room.scene.names))
+        yield Person(page, room, saved)
 
 
 def test_a_click_masks_the_ball_everywhere_and_the_next_stage_takes_what_was_saved(person, room):
@@ -239,7 +222,7 @@ def test_all_of_it_is_done_by_the_keyboard(person, room):
 def test_before_there_is_a_field_pictures_are_pointed_at_and_what_is_missing_is_said(browser, room, tmp_path):
     x, y = room.middle_of_ball(0)
     target = tmp_path / "mask.yaml"
-    with serve(room, target, field=False) as url, open_page(browser, room, url, target) as person:
+    with serve(room, target, field=False) as url, meet(browser, room, url, target) as person:
         expect(person.page.locator("#missing")).to_contain_text("Cameras are not known yet")
         expect(person.page.get_by_role("button", name="Sphere")).to_be_disabled()
         person.click(x, y)
@@ -253,15 +236,11 @@ def test_before_there_is_a_field_pictures_are_pointed_at_and_what_is_missing_is_
 
 @pytest.mark.parametrize(("size", "scheme"), [(LAPTOP, "light"), (LAPTOP, "dark"), (TABLET, "light")])
 def test_nothing_stands_in_the_way_of_anybody(person, room, size, scheme):
-    if not AXE.is_file():
-        pytest.skip("npm's packages are not here (`make browser`)")
     person.page.set_viewport_size(size)
     person.page.emulate_media(color_scheme=scheme)
     person.click(*room.middle_of_ball(0))
     person.wait_until_carried()
-    assert person.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    assert not overflows(person.page)
     for opened in ("", "?"):
         person.press(*opened)
-        person.page.evaluate(AXE.read_text())
-        found = person.page.evaluate("rules => axe.run(document, {runOnly: rules})", RULES)
-        assert [(v["id"], [n["html"] for n in v["nodes"]]) for v in found["violations"]] == []
+        assert find_violations(person.page) == []

@@ -10,6 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.kit.page_server import Refusal
 from inpaint3d.contracts.models.artifacts import Capture, MaskRequest, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.scene.synthetic import BALL_RADIUS
@@ -17,7 +18,6 @@ from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.editor import Editor
 from inpaint3d.stages.mask_authoring.page.masks import trace_outline
 from inpaint3d.stages.mask_authoring.page.pictures import fit_size, open_subject
-from inpaint3d.stages.mask_authoring.page.server import Refusal
 from inpaint3d.stages.mask_authoring.segment import iou
 from tests.page.room import build_room
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from inpaint3d.stages.mask_authoring.page.server import (
+from inpaint3d.contracts.kit.page_server import (
     HEADERS,
     MAX_BODY_BYTES,
     MAX_CONNECTIONS,

@@ -35,8 +35,8 @@ def test_a_page_has_the_common_frame_and_tables(package):
     page = render(package, "page_of_mine.html.j2", name="n", part="")
     assert page.startswith("<!doctype html>")
     assert "<style>" in page
-    assert "<th>a</th>" in page
-    assert '<th class="text">b<small>note</small></th>' in page
+    assert '<th scope="col">a</th>' in page
+    assert '<th scope="col" class="text">b<small>note</small></th>' in page
 
 
 def test_a_value_that_a_template_lacks_is_an_error(package):

@@ -1,6 +1,6 @@
 import csv
 
-from inpaint3d.stages.evaluation.scores import Scores, find_best, metric
+from inpaint3d.stages.evaluation.scores import Scores
 
 
 def test_means_are_over_the_views_of_a_method(tmp_path):
@@ -15,17 +15,3 @@ def test_means_are_over_the_views_of_a_method(tmp_path):
         rows = list(csv.DictReader(file))
     assert len(rows) == 4
     assert rows[0] == {"protocol": "p", "method": "a", "view": "v0", "metric": "psnr", "value": "10.0"}
-
-
-def test_the_best_knows_which_way_is_up():
-    metrics = [
-        metric("a", "psnr", 10, 2), metric("b", "psnr", 12, 2),
-        metric("a", "lpips_vgg", 0.3, 2), metric("b", "lpips_vgg", 0.4, 2),
-        metric("a", "gradient_ratio", 0.5, 2), metric("b", "gradient_ratio", 1.8, 2),
-    ]  # fmt: skip
-    assert find_best(metrics) == {("b", "psnr"), ("a", "lpips_vgg"), ("b", "gradient_ratio")}
-
-
-def test_one_method_alone_is_not_best_and_equals_share():
-    assert find_best([metric("a", "psnr", 10, 2)]) == set()
-    assert find_best([metric("a", "psnr", 10, 2), metric("b", "psnr", 10, 2)]) == {("a", "psnr"), ("b", "psnr")}

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,7 @@ from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import open_store
+from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
@@ -42,7 +44,7 @@ from inpaint3d.orchestrator.options import (
 )
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, preview
 from inpaint3d.orchestrator.progress import choose_display
-from inpaint3d.orchestrator.publish import publish, read_report
+from inpaint3d.orchestrator.publish import REPORT, publish, read_report
 from inpaint3d.orchestrator.request import ConfiguredRequest
 from inpaint3d.orchestrator.run import Scheduler
 from inpaint3d.orchestrator.run_folder import check_capture, own_folder
@@ -51,7 +53,26 @@ from inpaint3d.orchestrator.runners.process import ProcessRunner, Runner
 from inpaint3d.orchestrator.saved_mask import command_to_edit, path_of, use_saved
 from inpaint3d.orchestrator.tables import printable, show_nodes, show_scores
 
-app = typer.Typer(no_args_is_help=True, add_completion=False, help="3D scene inpainting as a pipeline of stages.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="3D scene inpainting as a pipeline of stages.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"inpaint3d {metadata.version('inpaint3d-orchestrator')}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def inpaint3d(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version, and end.")
+    ] = False,
+) -> None:
+    """3D scene inpainting as a pipeline of stages."""
 
 
 def main() -> None:
@@ -170,7 +191,9 @@ def _carry_out(
         said = ", ".join(f"{node} ({reason})" for node, reason in left_out.items())
         _say(f"{planner.name}: left out: {said}")
     display = choose_display(log_format, planner.pipeline.order)
-    scheduler = Scheduler(planner, selection, display, folder, runner, accept_doubtful=accept_doubtful)
+    command = ("inpaint3d", *sys.argv[1:])
+    scheduler = Scheduler(planner, selection, display, folder, runner, accept_doubtful=accept_doubtful, command=command)
+    remove(folder / REPORT)  # a run that is killed leaves none: that of an earlier one would speak for it
     try:
         record = scheduler.run()
     except BaseException:
@@ -178,7 +201,9 @@ def _carry_out(
             publish(planner.store, scheduler.record, folder)
         raise
     publish(planner.store, record, folder)
-    return record, _conclude(record, folder)
+    code = _conclude(record, folder)
+    _say(f"Report: {folder / REPORT}")
+    return record, code
 
 
 def _say(line: str) -> None:
@@ -233,7 +258,7 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 def add_other_commands() -> typer.Typer:
     """The program with the commands of all modules."""
-    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli
+    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli, params_cli
 
     app.add_typer(cluster_cli.emit_app, name="emit")
     app.add_typer(dev_cli.dev_app, name="dev")
@@ -241,4 +266,5 @@ def add_other_commands() -> typer.Typer:
     app.add_typer(paint_cli.paint_app, name="paint")
     cluster_cli.add_to(app)
     history_cli.add_to(app)
+    params_cli.add_to(app)
     return app

@@ -79,6 +79,11 @@ class History:
             note(message)
 
 
+def name_status(record: RunRecord) -> str:
+    """A run's status as a person is told: one whose process is gone does not run, whatever its record says."""
+    return "killed" if is_killed(record) else record.status
+
+
 def is_killed(record: RunRecord) -> bool:
     """Whether a run that is recorded as running has no process any more."""
     owner = parse_owner(record.process or "")

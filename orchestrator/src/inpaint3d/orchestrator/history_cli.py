@@ -10,7 +10,7 @@ from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import comparison, housekeeping
-from inpaint3d.orchestrator.history import History, is_killed
+from inpaint3d.orchestrator.history import History, name_status
 from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, RunsPath, StorePath
 from inpaint3d.orchestrator.plan import find_pipeline
 from inpaint3d.orchestrator.provenance import find_unproved
@@ -44,14 +44,14 @@ def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
     history = History(open_store(store))
     records = [r for name in history.names() for r in history.of(name)]
     if as_json:
-        sys.stdout.write(json.dumps([r.model_dump(mode="json", exclude={"nodes"}) for r in records], indent=2) + "\n")
+        told = [r.model_dump(mode="json", exclude={"nodes"}) | {"status": name_status(r)} for r in records]
+        sys.stdout.write(json.dumps(told, indent=2) + "\n")
         return
     rows: list[list[str]] = []
     for r in records:
         counts = [sum(n.status == s for n in r.nodes) for s in ("done", "cached")]
         wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
-        status = "killed" if is_killed(r) else r.status
-        rows.append([r.name, r.started[:19], status, r.preset or "", wall, *map(str, counts)])
+        rows.append([r.name, r.started[:19], name_status(r), r.preset or "", wall, *map(str, counts)])
     print_table(("name", "started", "status", "preset", "wall s", "ran", "cached"), rows)
 
 

@@ -68,6 +68,8 @@ class Task:
     record: Record | None
     reason: str
     changes: tuple[Change, ...]
+    after: tuple[str, ...]
+    """The nodes whose results it reads."""
 
 
 @dataclass
@@ -97,6 +99,11 @@ class Planner:
         """The nodes that run."""
         return self.configured.pipeline
 
+    def upstream(self, node: str) -> tuple[str, ...]:
+        """The nodes whose results a node reads, in the pipeline's order."""
+        direct = self.pipeline.upstream(node)
+        return tuple(n for n in self.pipeline.order if n in direct)
+
     def known(self, node: str) -> bool:
         """Whether everything upstream of the node has a result."""
         return self.pipeline.upstream(node) <= self.outputs.keys()
@@ -120,7 +127,8 @@ class Planner:
         record = self.store.lookup(key)
         before = self._before.get(node)
         reason, changes = explain(components, key, before, record, force=force)
-        return Task(node, key, components, inputs, record, reason, name_changed_files(changes, self.store))
+        named = name_changed_files(changes, self.store)
+        return Task(node, key, components, inputs, record, reason, named, self.upstream(node))
 
     def request_problem(self, node: str) -> str | None:
         """What a node's result shows to be wrong with the mask request, before the stage that reads it has its turn."""
@@ -194,7 +202,8 @@ def preview(planner: Planner, selection: Selection) -> list[NodeRun]:
         waiting = sorted(planner.pipeline.upstream(node) - planner.outputs.keys())
         if waiting:
             reason = f"after {', '.join(waiting)}"
-            rows.append(NodeRun(node=node, status="pending" if node in chosen else "skipped", reason=reason))
+            status: Status = "pending" if node in chosen else "skipped"
+            rows.append(NodeRun(node=node, status=status, reason=reason, after=planner.upstream(node)))
             continue
         task = planner.task(node)
         if task.record is not None and not (selection.force and node in chosen):
@@ -220,6 +229,7 @@ def describe_node(task: Task, status: Status, reason: str | None = None, record:
         node=task.node,
         status=status,
         reason=task.reason if reason is None else reason,
+        after=task.after,
         changes=task.changes,
         key=task.key,
         components=task.components,

@@ -18,14 +18,17 @@ class Display(Protocol):
 
 
 class Eta:
-    """Time left, from the pace since a node was first heard of."""
+    """Time left, from the pace since a node began the part of its work that it is at."""
 
     def __init__(self) -> None:
-        self._first: dict[str, tuple[float, float]] = {}
+        self._first: dict[str, tuple[float, float, float]] = {}
 
     def seconds(self, node: str, done: float, total: float) -> float | None:
+        """Of this part alone; a part is known by how much there is to do. None while the pace is not known."""
         now = time.monotonic()
-        at, before = self._first.setdefault(node, (now, done))
+        at, before, of = self._first.setdefault(node, (now, done, total))
+        if of != total or done < before:
+            self._first[node] = at, before, _ = now, done, total
         if done <= before or now - at < 1.0:
             return None
         return max(0.0, (total - done) * (now - at) / (done - before))

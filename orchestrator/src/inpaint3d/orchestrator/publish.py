@@ -5,16 +5,20 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
 from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Artifact, Store
-from inpaint3d.orchestrator.times import render_times
-from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
+from inpaint3d.contracts.store.workspace import remove
+from inpaint3d.orchestrator.pages.report import render_report
+
+REPORT = "report.html"
 
 
 def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
-    """Write the results of a run, replacing what an earlier run of the name left. Returns what metrics.json says."""
+    """Write the results of a run, replacing what an earlier run of the name left. Returns what metrics.json says.
+
+    What the run has no result for goes: nothing of an earlier run lies beside the report of this one.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     outputs = {n.node: n.outputs for n in record.nodes}
     protocols: tuple[Any, ...] = ()
@@ -22,28 +26,21 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         artifact = store.open(digest, Evaluation)
         protocols = artifact.metadata.protocols
         _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
-        html = artifact.path(artifact.metadata.report).read_text()
-        for marker, section in _render_sections(store, record).items():
-            if marker not in html:
-                raise ArtifactError(
-                    f"{artifact.metadata.report} of {digest} lacks the line {marker}; re-run evaluation"
-                )
-            html = html.replace(marker, section)
-        _write(folder / "report.html", html.encode())
+    else:
+        remove(folder / "pictures")
     if digest := outputs.get("usd-export", {}).get("usd-scene"):
         scene = store.open(digest, UsdScene)
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
+    else:
+        remove(folder / "scene.usdz")
     if digest := outputs.get("plate-export", {}).get("clean-plates"):
         _copy_plates(store.open(digest, CleanPlates), folder / "plates")
+    else:
+        remove(folder / "plates")
     report = make_report(record, protocols)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
+    _write(folder / REPORT, render_report(store, record, folder).encode())
     return report
-
-
-def _render_sections(store: Store, record: RunRecord) -> dict[str, str]:
-    """What a run adds to the page of its evaluation, by the line that it takes the place of."""
-    doubts = render("inpaint3d.orchestrator", "doubts.html.j2", doubts=record.doubts) if record.doubts else ""
-    return {DOUBT_MARKER: doubts, RUN_MARKER: render_times(store, record)}
 
 
 def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:

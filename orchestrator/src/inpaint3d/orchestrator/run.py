@@ -47,6 +47,8 @@ class Scheduler:
     runner: Runner = field(default_factory=ProcessRunner)
     cores: int = field(default_factory=lambda: this_machine().cores)
     accept_doubtful: bool = False
+    command: tuple[str, ...] = ()
+    """The command line that asks for the run."""
     _running: dict[str, RunningStage] = field(default_factory=dict[str, RunningStage])
     _tasks: dict[str, Task] = field(default_factory=dict[str, Task])
     _results: dict[str, NodeRun] = field(default_factory=dict[str, NodeRun])
@@ -61,6 +63,7 @@ class Scheduler:
             id=self.planner.history.new_id(self.planner.name),
             name=self.planner.name,
             pipeline=str(self.planner.pipeline.path),
+            command=self.command,
             preset=self.planner.configured.preset,
             externals=self.planner.externals,
             status="running",
@@ -230,8 +233,8 @@ class Scheduler:
         for node in self._chosen:
             if any(f"external.{MASK_REQUEST}" in refs for refs in pipeline.references(node).values()):
                 self._results[node] = NodeRun(
-                    node=node, status="failed", reason="its mask request is wrong", error=problem,
-                    exit_code=ConfigurationError.exit_code,
+                    node=node, status="failed", reason="its mask request is wrong", after=self.planner.upstream(node),
+                    error=problem, exit_code=ConfigurationError.exit_code,
                 )  # fmt: skip
                 self.display.node(node, "failed", error=problem)
 
@@ -262,7 +265,8 @@ class Scheduler:
         for node in missing:
             waits_for = sorted(self.planner.pipeline.upstream(node) - self.planner.outputs.keys())
             what = "pending" if node in self._chosen else "skipped"
-            self._results[node] = NodeRun(node=node, status=what, reason=f"after {', '.join(waits_for)}")
+            reason = f"after {', '.join(waits_for)}"
+            self._results[node] = NodeRun(node=node, status=what, reason=reason, after=self.planner.upstream(node))
 
     def _save(self, status: RunStatus, *, finished: bool = False) -> None:
         ordered = [self._results[n] for n in self.planner.pipeline.order if n in self._results]

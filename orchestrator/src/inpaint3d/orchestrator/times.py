@@ -1,4 +1,4 @@
-"""The part of the report that knows of time: what each stage cost, and what stopping earlier would have cost."""
+"""The part of the report that weighs accuracy against time: what stopping a fit earlier would have cost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,16 +35,8 @@ class Curve:
 
 
 def render_times(store: Store, record: RunRecord) -> str:
-    """A section of a page: machine, stages with times and reasons, and learning curves against seconds."""
-    return render(
-        "inpaint3d.orchestrator",
-        "times.html.j2",
-        record=record,
-        non_finite={
-            f"{n.node}: {place}": count for n in record.nodes for place, count in n.non_finite.items() if count
-        },
-        curves=_find_curves(store, record),
-    )
+    """The section of a report on what accuracy costs: learning curves against seconds; "" where there are none."""
+    return render("inpaint3d.orchestrator", "times.html.j2", curves=_find_curves(store, record))
 
 
 def _find_curves(store: Store, record: RunRecord) -> list[Curve]:

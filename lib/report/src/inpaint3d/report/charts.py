@@ -7,7 +7,7 @@ from itertools import cycle
 
 from inpaint3d.report.page import render
 
-COLOURS = ("#0b6e8f", "#c8553d", "#5b8e7d", "#8d5a97", "#b88a12")
+COLOURS = tuple(f"var(--line-{i})" for i in range(1, 6))  # of the page, light and dark
 WIDTH, HEIGHT = 640, 260
 LEFT, RIGHT, TOP, BOTTOM = 52, 16, 14, 40
 MAX_MARKED_POINTS = 60

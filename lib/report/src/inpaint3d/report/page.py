@@ -6,11 +6,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-RUN_MARKER = "<!-- inpaint3d:run -->"
-"""The line of an evaluation's page that a run replaces by its own section: the page is content, times are not."""
-DOUBT_MARKER = "<!-- inpaint3d:doubts -->"
-"""The line that it replaces by why its results cannot be right, or by nothing: before all the rest."""
-
 
 def render(package: str, template: str, **values: object) -> str:
     """Fill a template that lies in a package's folder; other templates take the result as it is.

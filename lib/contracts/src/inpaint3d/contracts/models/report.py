@@ -27,6 +27,7 @@ class NodeRun(Closed):
     node: str
     status: Status
     reason: str = Field(description="why it ran, did not have to, or was left out: nothing asks for it")
+    after: tuple[str, ...] = Field(default=(), description="the nodes whose results it reads")
     changes: tuple[Change, ...] = ()
     key: Digest | None = None
     components: dict[str, Any] = {}
@@ -59,6 +60,7 @@ class RunRecord(Closed):
     id: str
     name: str
     pipeline: str
+    command: tuple[str, ...] = Field(default=(), description="the command line that began it; empty: none did")
     preset: str | None
     externals: dict[str, Digest]
     status: Literal["running", "done", "failed", "waiting", "stopped"]

@@ -1,8 +1,6 @@
 """The radiance fields under test, and what they render."""
 
-import csv
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -20,14 +18,6 @@ from inpaint3d.stages.evaluation.boxes import Box
 from inpaint3d.stages.evaluation.photos import Photo
 
 Maps = dict[str, NDArray[np.float32]]
-
-
-@dataclass(frozen=True)
-class CurvePoint:
-    """Held-out PSNR (dB) after so many steps."""
-
-    step: int
-    psnr: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +77,3 @@ def crop_camera(camera: Camera, box: Box) -> Camera:
 def count_non_finite(maps: Maps) -> int:
     """How many values of a render are not finite."""
     return int(sum(np.count_nonzero(~np.isfinite(values)) for values in maps.values()))
-
-
-def read_curve(path: Path) -> list[CurvePoint]:
-    """The rows of a learning curve at which held-out views were rendered."""
-    with path.open(newline="") as file:
-        return [CurvePoint(int(r["step"]), float(r["psnr"])) for r in csv.DictReader(file) if r.get("psnr")]

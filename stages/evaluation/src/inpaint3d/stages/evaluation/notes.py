@@ -10,17 +10,16 @@ CONTROL = "continued-reconstruction"  # the label of a field that took the same 
 
 VISIBLY_APART = 0.1  # LPIPS between two completions
 
-_LIMITS = (
+LIMITS = (
     "What is behind the mask was made up. Several fillings can be right; PSNR and SSIM favour the blurred "
     "average of them, LPIPS and the pictures say more.",
     "FD-lite0 and KID-lite0 use EfficientNet-Lite0's features, since Inception's weights come with no "
     "package: they are not FID and KID, and must not be compared with published figures.",
-    "The time that each stage took, where a run adds it, is not part of the result: equal results have equal digests.",
 )
 
 
 def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, truth: bool) -> list[str]:
-    """Sentences on what is weak for the method `first`, then the limits of the figures."""
+    """Sentences on what is weak for the method `first`, and on what could not be told."""
     found: list[str] = []
     box = _collect_values(done, names.BOX, "psnr")
     if names.MEAN_SURROUND in box and box[first] <= box[names.MEAN_SURROUND]:
@@ -68,7 +67,7 @@ def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, tru
         )
     if not known:
         found.append("No held-out view could be scored: the field is untested outside the mask.")
-    return [*found, *_LIMITS]
+    return found
 
 
 def _collect_values(done: Sequence[Protocol], protocol: str, figure: str) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Score the fields by every protocol that the inputs allow, draw them, and write the report."""
+"""Score the fields by every protocol that the inputs allow, and draw them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +11,7 @@ from inpaint3d.contracts.models.artifacts import (
     DiffusionPrior,
     Evaluation,
     MaskSet,
+    PictureStrip,
     PosedCapture,
     PosedTruth,
     RadianceFieldArtifact,
@@ -21,8 +22,8 @@ from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.evaluation.config import Config
-from inpaint3d.stages.evaluation.methods import Method, load_methods, read_curve
-from inpaint3d.stages.evaluation.notes import list_weaknesses
+from inpaint3d.stages.evaluation.methods import load_methods
+from inpaint3d.stages.evaluation.notes import LIMITS, list_weaknesses
 from inpaint3d.stages.evaluation.photos import (
     Photo,
     assign_exposures,
@@ -30,6 +31,7 @@ from inpaint3d.stages.evaluation.photos import (
     read_masks,
 )
 from inpaint3d.stages.evaluation.pictures import (
+    GAP,
     choose_clearest_view,
     colour_depth,
     hide_hole,
@@ -46,7 +48,6 @@ from inpaint3d.stages.evaluation.protocols import (
     score_holes,
     score_neighbouring_views,
 )
-from inpaint3d.stages.evaluation.report import Curve, Report, Strip, write_report
 from inpaint3d.stages.evaluation.sparse import score_sparse_points
 
 CONTACT = "pictures/before_mask_after_depth.png"
@@ -93,27 +94,19 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     ]
     bench.scores.write(folder / "per_view.csv")
     ctx.non_finite.update(bench.non_finite)
-    report = Report(
-        title="Inpainted scene: evaluation",
-        hole=_describe_hole(masks.metadata, len(photos)),
-        protocols=done,
-        contact=contact,
-        strips=strips,
-        curves=_collect_curves(methods),
-        notes=list_weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths)),
-        non_finite=bench.non_finite,
-        health={m.label: m.artifact.metadata.health for m in methods if m.artifact.metadata.health},
-    )
-    write_report(folder / "report.html", report)
     outputs.write(
         "evaluation",
         Evaluation(
             protocols=tuple(done),
             pictures=tuple(str(p.relative_to(folder)) for p in sorted((folder / "pictures").iterdir())),
+            contact=contact,
+            strips=tuple(strips),
+            weaknesses=tuple(list_weaknesses(methods[0].label, done, masks.metadata, truth=bool(truths))),
+            limits=LIMITS,
             non_finite=bench.non_finite,
         ),
     )
-    ctx.progress(steps, steps, "report written")
+    ctx.progress(steps, steps, "written")
 
 
 def _load_photos(capture: Artifact[PosedCapture], masks: Artifact[MaskSet], longest_side: int) -> list[Photo]:
@@ -143,7 +136,7 @@ def _choose_truths(truth: Artifact[PosedTruth] | None, masks: Artifact[MaskSet],
 
 def _make_contact_strip(
     bench: Bench, photos: list[Photo], capture: Artifact[PosedCapture], masks: Artifact[MaskSet], folder: Path
-) -> Strip:
+) -> PictureStrip:
     """Before, mask, after, depth: the first field in the view that shows the hole best."""
     views = load_posed(capture)
     known = read_masks(masks, masks.metadata.views)
@@ -157,10 +150,11 @@ def _make_contact_strip(
     bench.tick(f"contact picture of {view.name}")
     panels = [photo.image, hide_hole(photo.image, photo.hole), maps["rgb"], colour_depth(maps["depth"])]
     write_png(folder / CONTACT, set_side_by_side(panels))
-    return Strip(view.name, folder / CONTACT, ("before", "mask", f"after ({bench.methods[0].label})", "depth"))
+    captions = ("before", "mask", f"after ({bench.methods[0].label})", "depth")
+    return PictureStrip(view=view.name, file=CONTACT, captions=captions, gap=GAP)
 
 
-def _make_strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[Strip]:
+def _make_strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> list[PictureStrip]:
     """One row of panels for each view: the photo with its mask, every field, the first field's depth, the truth."""
     strips = []
     for photo in photos:
@@ -174,21 +168,10 @@ def _make_strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> 
         if kind == "truth":
             panels.append(photo.image)
             captions.append("truth")
-        file = folder / "pictures" / f"{kind}_{photo.name}.png"
-        write_png(file, set_side_by_side(panels))
-        strips.append(Strip(f"{photo.name} ({kind})", file, captions))
+        file = f"pictures/{kind}_{photo.name}.png"
+        write_png(folder / file, set_side_by_side(panels))
+        strips.append(PictureStrip(view=f"{photo.name} ({kind})", file=file, captions=tuple(captions), gap=GAP))
     return strips
-
-
-def _collect_curves(methods: list[Method]) -> list[Curve]:
-    found = [(m.label, read_curve(m.artifact.path(m.artifact.metadata.learning_curve))) for m in methods]
-    return [Curve(label, [(float(p.step), p.psnr) for p in points]) for label, points in found if points]
-
-
-def _describe_hole(masks: MaskSet, views: int) -> str:
-    share = sum(v.share for v in masks.views) / max(1, len(masks.views))
-    how = {"inpaint": "The hole", "outpaint": "Everything outside the sphere"}[masks.task]
-    return f"{how} covers {share:.1%} of a view on average, over {views} views. Mask: {masks.origin}; {masks.method}."
 
 
 def _make_counter(ctx: Context, total: int) -> Tick:

@@ -1,7 +1,6 @@
 """Figures by protocol, method and view; their means are what the artifact states."""
 
 import csv
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -81,27 +80,12 @@ class Scores:
 def metric(method: str, name: str, value: float, views: int) -> Metric:
     """A figure in the artifact's form."""
     kind = KINDS[name]
-    return Metric(method=method, name=name, value=round_figure(value), unit=kind.unit, better=kind.better, views=views)
-
-
-def find_best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
-    """(method, name) of the best figure of each name; all of them where several are equal."""
-    by_name: dict[str, list[Metric]] = {}
-    for m in metrics:
-        by_name.setdefault(m.name, []).append(m)
-    winners: set[tuple[str, str]] = set()
-    for name, group in by_name.items():
-        top = max(_rate_merit(m) for m in group)
-        winners |= {(m.method, name) for m in group if _rate_merit(m) == top} if len(group) > 1 else set()
-    return winners
+    return Metric(
+        method=method, name=name, title=kind.title, value=round_figure(value), digits=kind.digits, unit=kind.unit,
+        better=kind.better, views=views,
+    )  # fmt: skip
 
 
 def round_figure(value: float) -> float:
     """Six decimals, which is more than any figure means."""
     return round(float(value), 6)
-
-
-def _rate_merit(m: Metric) -> float:
-    if m.better == "nearer 1":
-        return -abs(np.log(max(m.value, 1e-12)))
-    return m.value if m.better == "higher" else -m.value

@@ -27,7 +27,7 @@ from inpaint3d.contracts.models.artifacts.posed import (
     Registration,
 )
 from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
-from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, Protocol, UsdScene
+from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, PictureStrip, Protocol, UsdScene
 from inpaint3d.contracts.models.base import Closed
 
 SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
@@ -83,6 +83,7 @@ __all__ = [
     "PaintedView",
     "PaintedViews",
     "Painting",
+    "PictureStrip",
     "PlateConsistency",
     "PosedCapture",
     "PosedFrame",

@@ -10,7 +10,9 @@ class Metric(Closed):
 
     method: str = Field(description="label of the radiance field, or the name of an image baseline")
     name: str = Field(description="psnr, ssim, lpips_vgg, lpips_alex, fd_lite0, kid_lite0, ...")
+    title: str = Field(default="", description="what a page calls the figure; empty: its name")
     value: Finite
+    digits: int = Field(default=3, description="decimals that a page shows")
     unit: str = Field(description="'dB', '1'")
     better: str = Field(description="'higher' or 'lower'")
     views: int = Field(description="over how many views")
@@ -24,17 +26,27 @@ class Protocol(Closed):
     metrics: tuple[Metric, ...]
 
 
-class Evaluation(Closed):
-    """Figures by protocol; `per_view.csv`, `pictures/`, and a self-contained `report.html`.
+class PictureStrip(Closed):
+    """Panels of one size side by side in one PNG, with `gap` pixels of white between them."""
 
-    The report has a line `<!-- inpaint3d:doubts -->` and a line `<!-- inpaint3d:run -->` where the orchestrator puts
-    why the run's results cannot be right, and its times, which are not part of the artifact.
-    """
+    view: str = Field(description="what of the capture they show")
+    file: RelativePath = Field(description="pictures/NAME.png")
+    captions: tuple[str, ...] = Field(min_length=1, description="one for each panel, from the left")
+    gap: int = 0
+
+
+class Evaluation(Closed):
+    """Figures by protocol with what to know of them; `per_view.csv` and `pictures/`."""
 
     protocols: tuple[Protocol, ...]
     per_view: RelativePath = "per_view.csv"
-    report: RelativePath = "report.html"
     pictures: tuple[RelativePath, ...] = ()
+    contact: PictureStrip | None = Field(
+        default=None, description="before, mask, after and depth in the view that shows the hole best"
+    )
+    strips: tuple[PictureStrip, ...] = Field(default=(), description="other views, panels side by side")
+    weaknesses: tuple[str, ...] = Field(default=(), description="what came out weak, or could not be told, in words")
+    limits: tuple[str, ...] = Field(default=(), description="how far figures like these can be trusted")
     non_finite: dict[str, int] = {}
 
 

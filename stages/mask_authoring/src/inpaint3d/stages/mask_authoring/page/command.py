@@ -12,12 +12,12 @@ import cv2
 
 from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun, from_os_error
 from inpaint3d.contracts.kit.confine import confine, die_with_parent
+from inpaint3d.contracts.kit.page_server import PageServer
 from inpaint3d.contracts.models.artifacts import Capture, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact, open_store
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.editor import Editor
 from inpaint3d.stages.mask_authoring.page.pictures import open_subject
-from inpaint3d.stages.mask_authoring.page.server import PageServer
 
 THREADS = 1  # what the stage itself has, so that the page shows the masks that it will make
 

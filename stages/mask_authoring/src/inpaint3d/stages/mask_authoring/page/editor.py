@@ -13,6 +13,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.kit.page_server import Answer, Refusal, answer_json
 from inpaint3d.contracts.models.artifacts import MaskRequest
 from inpaint3d.contracts.models.base import Closed, FrameName
 from inpaint3d.stages.mask_authoring.config import Config
@@ -20,7 +21,6 @@ from inpaint3d.stages.mask_authoring.page.carrying import Carrier
 from inpaint3d.stages.mask_authoring.page.masks import check_request, mask_at_once, trace_outline
 from inpaint3d.stages.mask_authoring.page.pictures import PICTURE_SIDE, THUMBNAIL_SIDE, Subject
 from inpaint3d.stages.mask_authoring.page.saving import read_request, write_request
-from inpaint3d.stages.mask_authoring.page.server import Answer, Refusal, answer_json
 
 PACKAGE = "inpaint3d.stages.mask_authoring.page"
 BUNDLE = ("index.html", "page.js", "page.css", "icon.svg")

@@ -1,4 +1,4 @@
-"""The page's server: this machine alone may ask, and only who knows the token.
+"""A server of local pages: this machine alone may ask, and only who knows the token.
 
 Every path begins with the token, so that all that the page fetches has it and nothing else does. Whoever makes a
 browser ask under another name (DNS rebinding) is told by `Host`, another site's page by `Origin`.
@@ -48,6 +48,8 @@ class Answer:
     body: bytes
     kind: str = "application/json"
     status: HTTPStatus = HTTPStatus.OK
+    policy: str = POLICY
+    """What a browser may load for it."""
 
 
 class Refusal(Exception):
@@ -73,7 +75,8 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = MAX_CONNECTIONS
 
-    def __init__(self, get: Get, post: Post, port: int = 0) -> None:
+    def __init__(self, get: Get, post: Post | None = None, port: int = 0) -> None:
+        """Without `post` nothing can be sent: what is served is to be read only."""
         super().__init__((LOOPBACK, port), _Handler)
         self.get, self.post = get, post
         self.token = secrets.token_urlsafe(24)
@@ -111,6 +114,7 @@ class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "inpaint3d", ""
     timeout = IDLE_S
+    _policy = POLICY
 
     @property
     def _page(self) -> PageServer:
@@ -120,11 +124,16 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(lambda path: self._page.get(path))
 
     def do_POST(self) -> None:
-        self._answer(lambda path: self._page.post(path, self._read_body()))
+        self._answer(self._post)
+
+    def _post(self, path: str) -> Answer:
+        if self._page.post is None:
+            raise Refusal(HTTPStatus.METHOD_NOT_ALLOWED, "nothing can be sent to this page")
+        return self._page.post(path, self._read_body())
 
     def end_headers(self) -> None:
         """Every answer, also one of the library's own, says what a browser may do with it."""
-        for name, value in HEADERS.items():
+        for name, value in {**HEADERS, "Content-Security-Policy": self._policy}.items():
             self.send_header(name, value)
         super().end_headers()
 
@@ -160,7 +169,7 @@ class _Handler(BaseHTTPRequestHandler):
         _, _, path = self.path.partition("/")
         token, _, rest = path.partition("/")
         if not secrets.compare_digest(token.encode(), self._page.token.encode()):
-            raise Refusal(HTTPStatus.FORBIDDEN, "open the address that `inpaint3d masks edit` printed, as it stands")
+            raise Refusal(HTTPStatus.FORBIDDEN, "open the address that the command printed, as it stands")
         return rest
 
     def _read_body(self) -> Any:
@@ -181,6 +190,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
 
     def _send(self, answer: Answer) -> None:
+        self._policy = answer.policy
         self.send_response(answer.status)
         self.send_header("Content-Type", answer.kind)
         self.send_header("Content-Length", str(len(answer.body)))
