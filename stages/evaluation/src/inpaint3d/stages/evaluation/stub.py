@@ -11,7 +11,7 @@ from inpaint3d.stages.evaluation.pictures import colour_depth, hide_hole, set_si
 from inpaint3d.stages.evaluation.report import Report, Strip, write_report
 from inpaint3d.stages.evaluation.scores import Scores
 
-PROTOCOL = "hole-box-vs-truth"
+PROTOCOL = "bbox10-vgg"
 CAPTIONS = ("before", "mask", "after (mean-surround)", "depth")
 
 
