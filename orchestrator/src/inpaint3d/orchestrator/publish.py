@@ -7,8 +7,9 @@ from typing import Any
 
 from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
-from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
+from inpaint3d.contracts.models.report import AccuracyCourse, RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.orchestrator.accuracy import follow_accuracy, render_course
 from inpaint3d.orchestrator.times import render_times
 from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
 
@@ -18,12 +19,13 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
     folder.mkdir(parents=True, exist_ok=True)
     outputs = {n.node: n.outputs for n in record.nodes}
     protocols: tuple[Any, ...] = ()
+    course = follow_accuracy(store, record)
     if digest := outputs.get("evaluation", {}).get("evaluation"):
         artifact = store.open(digest, Evaluation)
         protocols = artifact.metadata.protocols
         _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
         html = artifact.path(artifact.metadata.report).read_text()
-        for marker, section in _render_sections(store, record).items():
+        for marker, section in _render_sections(store, record, course).items():
             if marker not in html:
                 raise ArtifactError(
                     f"{artifact.metadata.report} of {digest} lacks the line {marker}; re-run evaluation"
@@ -35,18 +37,18 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
     if digest := outputs.get("plate-export", {}).get("clean-plates"):
         _copy_plates(store.open(digest, CleanPlates), folder / "plates")
-    report = make_report(record, protocols)
+    report = make_report(record, protocols, course)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
     return report
 
 
-def _render_sections(store: Store, record: RunRecord) -> dict[str, str]:
+def _render_sections(store: Store, record: RunRecord, course: AccuracyCourse | None) -> dict[str, str]:
     """What a run adds to the page of its evaluation, by the line that it takes the place of."""
     doubts = render("inpaint3d.orchestrator", "doubts.html.j2", doubts=record.doubts) if record.doubts else ""
-    return {DOUBT_MARKER: doubts, RUN_MARKER: render_times(store, record)}
+    return {DOUBT_MARKER: doubts, RUN_MARKER: render_course(course) + render_times(store, record)}
 
 
-def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
+def make_report(record: RunRecord, protocols: tuple[Any, ...], course: AccuracyCourse | None = None) -> RunReport:
     stages = tuple(
         StageFigures(
             node=n.node,
@@ -71,6 +73,7 @@ def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
         machine=record.machine,
         stages=stages,
         protocols=protocols,
+        course=course,
     )
 
 
