@@ -104,12 +104,24 @@ def test_a_point_that_was_cut_short_is_tried_again(tmp_path):
     assert sweeping._read_trial(spec, next(sweeping._draw(again, spec, 3))) == cut
 
 
+def test_a_point_that_failed_is_tried_again_by_the_next_call_and_not_by_the_same(tmp_path):
+    spec = load_study(STUDY)
+    design = sweeping.open_design(tmp_path / "journal.log", seed=0)
+    asked = []
+    for trial in sweeping._draw(design, spec, 2):
+        asked.append(sweeping._read_trial(spec, trial))
+        sweeping._tell(design, trial.number, point("x", 1, None, state="failed"))
+    assert len(asked) == 2
+    assert [knobs for _, knobs in draw(tmp_path, 2)] == asked
+
+
 def test_results_are_read_again_and_a_point_measured_anew_replaces_itself(tmp_path):
     results = StudyResults(capture="c", protocol="bbox10-vgg").with_point(point("a", 10, 20.0))
-    results = results.with_point(point("a", 11, 21.0)).with_point(point("b", 5, None, state="stopped-early"))
+    slow = point("b", 5, None, state="stopped-early", knobs={"steps": 2})
+    results = results.with_point(point("again", 11, 21.0)).with_point(slow)
     results.write(tmp_path / "points.json")
     assert read_results(tmp_path / "points.json") == results
-    assert [p.name for p in results.measured] == ["a"]
+    assert [p.name for p in results.measured] == ["again"]
     (tmp_path / "points.json").write_text(json.dumps({"capture": 1}))
     with pytest.raises(BadInputError, match=r"points\.json holds no results"):
         read_results(tmp_path / "points.json")
@@ -117,7 +129,7 @@ def test_results_are_read_again_and_a_point_measured_anew_replaces_itself(tmp_pa
 
 def test_the_pages_show_the_front_and_the_commands(tmp_path):
     results = StudyResults(capture="c", protocol="bbox10-vgg")
-    for p in (point("a", 10, 20.0), point("b", 20, 19.0), point("draft", 5, 18.0, knobs={})):
+    for p in (point("a", 10, 20.0), point("b", 20, 19.0, knobs={"steps": 2}), point("draft", 5, 18.0, knobs={})):
         results = results.with_point(p)
     write_pages(results, tmp_path)
     drawn = (tmp_path / "psnr-time.svg").read_text()

@@ -73,7 +73,8 @@ class StudyResults(Closed):
 
     def with_point(self, point: Point) -> "StudyResults":
         """The results with a point added, or measured anew."""
-        others = tuple(p for p in self.points if p.name != point.name)
+        asked = (point.preset, point.knobs)
+        others = tuple(p for p in self.points if p.name != point.name and (p.preset, p.knobs) != asked)
         return self.model_copy(update={"points": (*others, point)})
 
     def write(self, path: Path) -> None:

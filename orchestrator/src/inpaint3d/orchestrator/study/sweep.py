@@ -111,16 +111,25 @@ def open_design(journal: Path, seed: int) -> "Study":
 
 
 def _draw(study: "Study", spec: StudySpec, count: int) -> "Iterator[Trial]":
-    """Trials up to `count`; what a kill cut short is tried again first."""
-    import optuna
+    """Trials up to `count`; what was cut short or failed in an earlier call is tried again first, once."""
+    from optuna.trial import TrialState
 
-    running = (optuna.trial.TrialState.RUNNING,)
-    for cut in study.get_trials(deepcopy=False, states=running):
-        study.tell(cut.number, state=optuna.trial.TrialState.FAIL)
-        study.enqueue_trial(cut.params)
-    ended = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.PRUNED)
-    while len(study.get_trials(deepcopy=False, states=ended)) < count:
+    for cut in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(cut.number, state=TrialState.FAIL)
+    earlier = study.get_trials(deepcopy=False)
+    for trial in earlier:
+        if trial.state == TrialState.FAIL and all(t.params != trial.params for t in earlier[trial.number + 1 :]):
+            study.enqueue_trial(trial.params)
+    failed = sum(t.state == TrialState.FAIL for t in earlier)
+    # What fails in this call counts, or a stage that always fails would be tried for ever.
+    while len(study.get_trials(deepcopy=False)) - failed - _count_waiting(study) < count:
         yield study.ask(list_distributions(spec))
+
+
+def _count_waiting(study: "Study") -> int:
+    from optuna.trial import TrialState
+
+    return len(study.get_trials(deepcopy=False, states=(TrialState.WAITING,)))
 
 
 def list_distributions(spec: StudySpec) -> dict[str, Any]:
@@ -146,7 +155,7 @@ def _tell(study: "Study", number: int, point: Point) -> None:
     if point.state == "done":
         study.tell(number, [point.sum_seconds(), point.figures["psnr"]])
     else:
-        study.tell(number, state=TrialState.PRUNED)
+        study.tell(number, state=TrialState.PRUNED if point.state == "stopped-early" else TrialState.FAIL)
 
 
 def _run(bed: Bed, begun: Point, command: list[str]) -> Point:
