@@ -17,7 +17,7 @@ from inpaint3d.orchestrator.configure import Settings, configure
 REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "presets.json"
 FIGURES = ("psnr", "ssim", "lpips_vgg")
-PROTOCOL = "hole-box-vs-truth"
+PROTOCOL = "bbox10-vgg"
 PRESETS = ("draft", "standard", "high", "paper")
 
 

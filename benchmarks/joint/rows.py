@@ -77,8 +77,8 @@ RULE = (
 )
 
 FIGURES = {
-    "psnr": "hole-box-vs-truth", "ssim": "hole-box-vs-truth", "lpips_vgg": "hole-box-vs-truth",
-    "fd_lite0": "hole-box-vs-truth", "kid_lite0": "hole-box-vs-truth", "gradient_share": "hole-only-vs-truth",
+    "psnr": "bbox10-vgg", "ssim": "bbox10-vgg", "lpips_vgg": "bbox10-vgg",
+    "fd_lite0": "bbox10-vgg", "kid_lite0": "bbox10-vgg", "gradient_share": "masked-pixels",
     "opacity_mean": "hole-statistics", "depth_spread": "hole-statistics",
     "reprojection_hole": "neighbouring-views", "reprojection_known": "neighbouring-views",
 }  # fmt: skip

@@ -16,9 +16,10 @@ def test_psnr_of_a_constant_shift_is_twenty_decades_of_it(shift):
     assert psnr(truth + np.float32(shift), truth) == pytest.approx(-20 * np.log10(shift), abs=1e-3)
 
 
-def test_psnr_of_equal_pictures_stops_at_a_hundred():
+def test_psnr_of_equal_pictures_is_infinite_and_of_broken_ones_no_number():
     a, _ = pictures()
-    assert psnr(a, a) == 100.0
+    assert psnr(a, a) == np.inf
+    assert np.isnan(psnr(np.full_like(a, np.inf), a))
 
 
 def test_psnr_looks_only_at_its_region():

@@ -13,7 +13,7 @@ KNOWN = Protocol(
 def said(joint: dict[str, float], control: dict[str, float]) -> str:
     scores = {"joint": joint, "continued-reconstruction": control}
     figures = tuple(metric(method, name, value, 4) for method, row in scores.items() for name, value in row.items())
-    box = Protocol(name="hole-box-vs-truth", description="", metrics=figures)
+    box = Protocol(name="bbox10-vgg", description="", metrics=figures)
     return " ".join(list_weaknesses("joint", [box, KNOWN], MASKS, truth=True))
 
 

@@ -25,11 +25,14 @@ from inpaint3d.contracts.models.artifacts import (
 )
 from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.radiance.fields import RadianceField
+from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.radiance.io import save_field
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.image_io import read_image, write_mask
+from inpaint3d.scene.masked_views import load_masked_scene
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 
+MODELS = {"posed-capture": PosedCapture, "mask-set": MaskSet}
 TINY = {
     "render_longest_side": 24,
     "truth_views": 3,
@@ -144,9 +147,11 @@ def test_every_protocol_has_every_method(full):
     methods = {p.name: {m.method for m in p.metrics} for p in full[1].protocols}
     fields = {"joint-sds", "joint-sds #2"}
     assert methods == {
-        "hole-box-vs-truth": fields | {"mean-surround"},
-        "hole-only-vs-truth": fields | {"mean-surround"},
+        "bbox10-vgg": fields | {"mean-surround"},
+        "masked-pixels": fields | {"mean-surround"},
         "held-out-known-pixels": fields | {"mean-colour", "nearest-photo-warped"},
+        "full": fields,
+        "held-out-samples": fields,
         "hole-statistics": fields,
         "neighbouring-views": fields,
         "sparse-points": fields,
@@ -154,10 +159,35 @@ def test_every_protocol_has_every_method(full):
 
 
 def test_a_truth_view_with_an_empty_mask_is_skipped_and_n_is_stated(full):
-    box = next(p for p in full[1].protocols if p.name == "hole-box-vs-truth")
+    box = next(p for p in full[1].protocols if p.name == "bbox10-vgg")
     assert {m.views for m in box.metrics} == {3}
     assert {m.name for m in box.metrics} == {"psnr", "ssim", "lpips_vgg", "lpips_alex", "fd_lite0", "kid_lite0"}
     assert "3 against 3 crops" in box.description
+
+
+def test_the_figure_of_the_learning_curves_has_its_own_name(store, inputs, full):
+    capture, masks = (store.open(inputs[port], model) for port, model in MODELS.items())
+    photos = [KnownPhoto(v.camera, v.image, v.known) for v in load_masked_scene(capture, masks).test]
+    curve = HeldOut.at_random(photos, 1024, "cpu").psnr(RadianceField(SPEC, seed=0).eval(), 8192)
+    samples = next(p for p in full[1].protocols if p.name == "held-out-samples")
+    assert [m.value for m in samples.metrics] == pytest.approx([curve, curve], abs=1e-5)
+
+
+def test_every_protocol_of_pictures_states_its_conditions(full):
+    of_pictures = {"bbox10-vgg", "masked-pixels", "full", "held-out-known-pixels", "held-out-samples"}
+    for protocol in full[1].protocols:
+        if protocol.name in of_pictures:
+            assert all((protocol.crop, protocol.resolution, protocol.colour_range)), protocol.name
+            assert {m.views for m in protocol.metrics if m.name == "psnr"} == {protocol.views}
+
+
+def test_crops_of_another_growth_have_another_name(store, scene, inputs):
+    wired = inputs | {"radiance-fields": [field(store, "a")], "posed-truth": truth(store, scene)}
+    names = [
+        evaluated(store, wired, perceptual=False, **parameters)[1].protocols[0].name
+        for parameters in ({"box_growth": 0.25}, {"box_protocol": "spin-nerf"})
+    ]
+    assert names == ["bbox25-vgg", "spin-nerf"]
 
 
 def test_equal_fields_have_equal_figures(full):
@@ -197,7 +227,7 @@ def test_the_table_holds_every_view(full):
     root, _ = full
     with (root / "per_view.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    box = [r for r in rows if r["protocol"] == "hole-box-vs-truth" and r["metric"] == "psnr"]
+    box = [r for r in rows if r["protocol"] == "bbox10-vgg" and r["metric"] == "psnr"]
     assert {r["view"] for r in box} == {"truth_view_000", "truth_view_004", "truth_view_006"}
     assert all(np.isfinite(float(r["value"])) for r in rows)
 
@@ -214,7 +244,7 @@ def test_pictures_are_there_in_panels_of_one_width(full):
 
 def test_without_truth_it_says_so(store, inputs):
     _, evaluation = evaluated(store, inputs | {"radiance-fields": [field(store, "a")]}, perceptual=False)
-    names = ["held-out-known-pixels", "hole-statistics", "neighbouring-views", "sparse-points"]
+    names = ["held-out-known-pixels", "held-out-samples", "hole-statistics", "neighbouring-views", "sparse-points"]
     assert [p.name for p in evaluation.protocols] == names
     assert any("nothing here says whether the filling is true" in weakness for weakness in evaluation.weaknesses)
 
@@ -223,7 +253,7 @@ def test_a_field_that_renders_nan_is_counted_and_never_averaged(store, inputs):
     fields = [field(store, "good"), field(store, "bad", poison=True)]
     _, evaluation = evaluated(store, inputs | {"radiance-fields": fields}, perceptual=False)
     assert evaluation.protocols == ()
-    assert set(evaluation.non_finite) == {"bad/view_002", "bad/sparse-points"}
+    assert set(evaluation.non_finite) == {"bad/view_002", "bad/held-out-samples", "bad/sparse-points"}
     assert evaluation.non_finite["bad/view_002"] >= 24 * 18
 
 

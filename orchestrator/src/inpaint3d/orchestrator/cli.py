@@ -258,7 +258,7 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 def add_other_commands() -> typer.Typer:
     """The program with the commands of all modules."""
-    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli, params_cli
+    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli, params_cli, study_cli
 
     app.add_typer(cluster_cli.emit_app, name="emit")
     app.add_typer(dev_cli.dev_app, name="dev")
@@ -267,4 +267,5 @@ def add_other_commands() -> typer.Typer:
     cluster_cli.add_to(app)
     history_cli.add_to(app)
     params_cli.add_to(app)
+    study_cli.add_to(app)
     return app

@@ -7,7 +7,7 @@ from typing import Any
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 
-PROTOCOL = "hole-box-vs-truth"
+PROTOCOL = "bbox10-vgg"
 METRICS = ("psnr", "ssim", "lpips_vgg", "fd_lite0", "fid")
 
 

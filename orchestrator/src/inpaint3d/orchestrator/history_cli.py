@@ -65,6 +65,8 @@ def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json
         sys.stdout.write(json.dumps(report, indent=2) + "\n")
         return
     show_nodes(list(History(open_store(store)).latest(name).nodes), as_json=False)
+    if course := report.get("course"):
+        sys.stdout.write(printable(f"\naccuracy and time: {course['sentence']}\n"))
     for protocol in report["protocols"]:
         sys.stdout.write(f"\n{protocol['name']}: {protocol['description']}\n")
         rows = [

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
-from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
+from inpaint3d.contracts.models.report import AccuracyCourse, RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.contracts.store.workspace import remove
+from inpaint3d.orchestrator.accuracy import follow_accuracy
 from inpaint3d.orchestrator.pages.report import render_report
 
 REPORT = "report.html"
@@ -22,6 +23,7 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
     folder.mkdir(parents=True, exist_ok=True)
     outputs = {n.node: n.outputs for n in record.nodes}
     protocols: tuple[Any, ...] = ()
+    course = follow_accuracy(store, record)
     if digest := outputs.get("evaluation", {}).get("evaluation"):
         artifact = store.open(digest, Evaluation)
         protocols = artifact.metadata.protocols
@@ -37,13 +39,13 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         _copy_plates(store.open(digest, CleanPlates), folder / "plates")
     else:
         remove(folder / "plates")
-    report = make_report(record, protocols)
+    report = make_report(record, protocols, course)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
-    _write(folder / REPORT, render_report(store, record, folder).encode())
+    _write(folder / REPORT, render_report(store, record, folder, course).encode())
     return report
 
 
-def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
+def make_report(record: RunRecord, protocols: tuple[Any, ...], course: AccuracyCourse | None = None) -> RunReport:
     stages = tuple(
         StageFigures(
             node=n.node,
@@ -68,6 +70,7 @@ def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
         machine=record.machine,
         stages=stages,
         protocols=protocols,
+        course=course,
     )
 
 

@@ -56,8 +56,12 @@ class HeldOut:
 
         block: rays rendered at once.
         """
-        scores = [_score(field, rays, truth, block) for rays, truth in self._views]
+        scores = self.psnr_of_each(field, block)
         return math.fsum(scores) / len(scores) if scores else None
+
+    def psnr_of_each(self, field: RadianceField, block: int) -> list[float]:
+        """The PSNR of each photo that has a known pixel, dB."""
+        return [_score(field, rays, truth, block) for rays, truth in self._views]
 
 
 def _sample_lattice(photo: KnownPhoto, longest_side: int, device: torch.device | str) -> tuple[Rays, Colours]:

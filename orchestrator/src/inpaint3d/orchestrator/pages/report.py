@@ -20,13 +20,14 @@ from inpaint3d.contracts.models.artifacts import (
     UsdScene,
 )
 from inpaint3d.contracts.models.base import Closed, Digest
-from inpaint3d.contracts.models.report import NodeRun, RunRecord
+from inpaint3d.contracts.models.report import AccuracyCourse, NodeRun, RunRecord
 from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.orchestrator.accuracy import render_course
 from inpaint3d.orchestrator.pages.dag import draw_dag, format_seconds
 from inpaint3d.orchestrator.pages.effects import EffectRow, describe_effects
 from inpaint3d.orchestrator.pages.orbit import Orbit, build_orbit
 from inpaint3d.orchestrator.pages.pictures import Strip, cut_strip, fit_into
-from inpaint3d.orchestrator.pages.tables import make_table
+from inpaint3d.orchestrator.pages.tables import list_views, make_table
 from inpaint3d.orchestrator.pages.verdict import KNOWN, TRUTH, find_metrics, judge
 from inpaint3d.orchestrator.times import render_times
 from inpaint3d.report.page import render
@@ -157,22 +158,25 @@ class Page:
         return None if digest is None else self.store.open(digest, model)
 
 
-def render_report(store: Store, record: RunRecord, folder: Path) -> str:
-    """The page of a run, however it ended; `folder` is where it will lie, with its logs.
+def render_report(store: Store, record: RunRecord, folder: Path, course: AccuracyCourse | None = None) -> str:
+    """The page of a run, however it ended; `folder` is where it will lie, with its logs. course: what accuracy cost.
 
     Raises ArtifactError where a result that the record names cannot be read any more.
     """
     script = (files(PACKAGE) / "report.js").read_text()
     page = Page(store, record, folder)
+    evaluation = page.evaluation
+    protocols = evaluation.metadata.protocols if evaluation else ()
     return render(
         PACKAGE,
         "report.html.j2",
         page=page,
         record=record,
-        verdict=judge(record, page.evaluation.metadata if page.evaluation else None),
-        tables=[make_table(p) for p in page.evaluation.metadata.protocols] if page.evaluation else [],
+        verdict=judge(record, evaluation.metadata if evaluation else None),
+        tables=[make_table(p) for p in protocols],
+        view_tables=list_views(evaluation.path(evaluation.metadata.per_view), protocols) if evaluation else [],
         dag=draw_dag(record.nodes),
-        accuracy=render_times(store, record),
+        accuracy=render_course(course) + render_times(store, record),
         seconds=format_seconds,
         script=script,
         policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src '{hash_script(script)}'",

@@ -1,28 +1,44 @@
-"""Protocols as tables: a row for each method, a column for each figure, the best of each marked."""
+"""Protocols as tables: a row for each method, a column for each figure, the best of each marked; and view by view."""
 
+import csv
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from inpaint3d.contracts.models.artifacts import Metric, Protocol
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure as text; a dash where a method lacks it."""
+    """A figure as text, a dash where a method lacks it; about: how sure it is, in small print."""
 
     text: str
     best: bool = False
+    about: str = ""
 
 
 @dataclass(frozen=True)
 class MetricTable:
-    """`heads`: (title, unit and which way is better) of each figure."""
+    """`heads`: (title, unit and which way is better) of each figure; conditions: under which it was measured."""
 
     title: str
     description: str
+    conditions: dict[str, str]
     heads: list[tuple[str, str]]
     rows: list[tuple[str, list[Cell]]]
+
+
+@dataclass(frozen=True)
+class ViewTable:
+    """Figures of single views: `heads` are (method, figure), a row for each view."""
+
+    title: str
+    heads: list[tuple[str, str]]
+    rows: list[tuple[str, list[str]]]
+
+
+SHOWN_BY_VIEW = ("psnr", "lpips_vgg")
 
 
 def make_table(protocol: Protocol) -> MetricTable:
@@ -36,7 +52,28 @@ def make_table(protocol: Protocol) -> MetricTable:
         for method in dict.fromkeys(m.method for m in protocol.metrics)
     ]
     heads = [(figures[n].title or n, _describe_unit(figures[n])) for n in names]
-    return MetricTable(protocol.name.replace("-", " ").capitalize(), protocol.description, heads, rows)
+    title = f"{protocol.name}, version {protocol.version}"
+    return MetricTable(title, protocol.description, _list_conditions(protocol), heads, rows)
+
+
+def list_views(per_view: Path, protocols: Sequence[Protocol]) -> list[ViewTable]:
+    """A table for each protocol with figures of `SHOWN_BY_VIEW`; per_view: an evaluation's table of all views."""
+    with per_view.open(newline="") as file:
+        found = [row for row in csv.DictReader(file) if row["metric"] in SHOWN_BY_VIEW]
+    tables: list[ViewTable] = []
+    for protocol in protocols:
+        own = {
+            (r["view"], r["method"], r["metric"]): float(r["value"]) for r in found if r["protocol"] == protocol.name
+        }
+        kinds = {m.name: m for m in protocol.metrics}
+        columns = [(m, n) for m, n in dict.fromkeys((m, n) for _, m, n in own) if n in kinds]
+        if columns:
+            rows = [
+                (view, [_write_value(own.get((view, m, n)), kinds[n].digits) for m, n in columns])
+                for view in dict.fromkeys(view for view, _, _ in own)
+            ]
+            tables.append(ViewTable(protocol.name, [(m, kinds[n].title or n) for m, n in columns], rows))
+    return tables
 
 
 def find_best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
@@ -52,7 +89,30 @@ def find_best(metrics: Iterable[Metric]) -> set[tuple[str, str]]:
 
 
 def _make_cell(metric: Metric | None, best: bool) -> Cell:
-    return Cell("–") if metric is None else Cell(f"{metric.value:.{metric.digits}f}", best)
+    if metric is None:
+        return Cell("–")
+    digits = metric.digits
+    about = [] if metric.low is None else [f"{metric.low:.{digits}f} to {metric.high:.{digits}f}"]
+    about += [] if metric.standard_error is None else [f"± {metric.standard_error:.{digits}f}"]
+    about += [f"{metric.equal_views} views equal"] if metric.equal_views else []
+    return Cell(f"{metric.value:.{digits}f}", best, ", ".join(about))
+
+
+def _list_conditions(protocol: Protocol) -> dict[str, str]:
+    told = {
+        "crop": protocol.crop,
+        "resolution": protocol.resolution,
+        "colours": protocol.colour_range,
+        "networks": ", ".join(protocol.networks),
+        "n": "" if protocol.views is None else f"{protocol.views} views",
+    }
+    return {name: value for name, value in told.items() if value}
+
+
+def _write_value(value: float | None, digits: int) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.{digits}f}" if math.isfinite(value) else "equal"
 
 
 def _describe_unit(metric: Metric) -> str:

@@ -8,7 +8,7 @@ from inpaint3d.contracts.errors import EXIT_CODES
 from inpaint3d.contracts.models.artifacts import Evaluation, Metric
 from inpaint3d.contracts.models.report import NodeRun, RunRecord
 
-TRUTH, KNOWN = "hole-box-vs-truth", "held-out-known-pixels"
+TRUTH, KNOWN = "bbox10-vgg", "held-out-known-pixels"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts.results import Protocol
-from inpaint3d.contracts.models.base import Closed, Digest
+from inpaint3d.contracts.models.base import Closed, Digest, Finite
 from inpaint3d.contracts.models.canonical import digest_of
 
 Status = Literal["cached", "done", "failed", "waiting", "stopped", "skipped", "pending", "left-out"]
@@ -118,6 +118,30 @@ class StageFigures(Closed):
     non_finite: dict[str, int]
 
 
+class AccuracySample(Closed):
+    """How well a stage's field showed held-out pixels at a moment of the run, stages counted one after another."""
+
+    node: str
+    wall_s: Finite
+    cpu_s: Finite
+    psnr: Finite = Field(description="dB, on known pixels of photos kept out of training")
+
+
+class AccuracyCourse(Closed):
+    """Accuracy of a whole run against the seconds since its start."""
+
+    samples: tuple[AccuracySample, ...]
+    in_hand_from: str = Field(description="stage whose field is the first without what is to go")
+    knee: AccuracySample | None = Field(description="where the curve in hand bends; None: it does not")
+    half: AccuracySample = Field(description="half of the way from the first field in hand to the last")
+    last: AccuracySample
+    ahead_s: Finite = Field(description="CPU seconds more that the gain is of")
+    gain_db: Finite | None = Field(description="what they would buy, by a power law; None: too few scores")
+    gain_low_db: Finite | None = Field(description="lower end of its 95 % interval, by resampled residuals")
+    gain_high_db: Finite | None
+    sentence: str
+
+
 class RunReport(Closed):
     """`metrics.json`: metrics by protocol, and per stage time, memory, whether it was cached, and digests."""
 
@@ -130,3 +154,4 @@ class RunReport(Closed):
     machine: Machine
     stages: tuple[StageFigures, ...]
     protocols: tuple[Protocol, ...] = Field(description="empty until evaluation has run")
+    course: AccuracyCourse | None = Field(default=None, description="None where no stage scored a field")

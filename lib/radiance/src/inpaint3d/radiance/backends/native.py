@@ -192,7 +192,8 @@ def grid_histogram(
     density, *rays = (tensor.numpy() for tensor in tensors)
     out = tdist.new_empty(len(origins), len(tdist) - 1)
     kernels.grid_histogram(
-        kernels.Cells(density, cells.side, None if cells.contraction else cells.bound),
+        # Inside a tuple the binding takes no number that float32 does not hold exactly.
+        kernels.Cells(density, cells.side, None if cells.contraction else tdist.new_tensor(cells.bound).item()),
         kernels.Rays(*rays),
         floor,
         out.numpy(),

@@ -1,8 +1,8 @@
 """Parameters of the evaluation; defaults are the `standard` preset."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from inpaint3d.contracts.models.base import Closed, Share
 
@@ -27,6 +27,19 @@ class Config(Closed):
     box_growth: Share = Field(
         default=0.1, description="share by which the mask's bounding box grows in width and height (E1)"
     )
+    box_protocol: Literal["bbox", "spin-nerf"] = Field(
+        default="bbox",
+        description="what the crops are called: by their growth (bbox10-vgg), or spin-nerf, whose published figures "
+        "are of the same crops at a quarter of the photos' size (1008 px)",
+    )
+    full_views: Annotated[int, Field(ge=0)] = Field(
+        default=3, description="truth views that are scored whole as well, spread evenly; 0: none"
+    )
+    held_out_pixels: Annotated[int, Field(ge=0)] = Field(
+        default=1024,
+        description="known pixels of each held-out photo scored as learning curves are; 0: none; "
+        "joint-optimization's score_pixels",
+    )
     ring: Share = Field(
         default=0.08,
         description="width of the ring around the mask, a share of the box's longer side, at least 2 px",
@@ -37,3 +50,9 @@ class Config(Closed):
         default=480, description="pixels; size of one panel of before_mask_after_depth.png"
     )
     block: Count = Field(default=4096, description="rays rendered at once; bounds memory, changes no result")
+
+    @model_validator(mode="after")
+    def _check_protocol(self) -> "Config":
+        if self.box_protocol == "spin-nerf" and self.box_growth != 0.1:
+            raise ValueError(f"box_growth {self.box_growth} is not spin-nerf's 0.1; leave it, or box_protocol")
+        return self

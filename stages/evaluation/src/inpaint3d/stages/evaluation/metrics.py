@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-LEAST_SQUARE = 1e-10  # 100 dB
 WINDOW = 11
 SSIM_RADIUS = WINDOW // 2
 
@@ -16,8 +15,8 @@ SSIM_RADIUS = WINDOW // 2
 def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
     """Peak signal-to-noise ratio, dB, over `region` ([h, w]; None: everywhere) and the three channels.
 
-    Equal pictures would give infinity, which no table holds: the value stops at 100 dB (a mean square of
-    1e-10). NaN where a value is not finite. Raises ValueError where the region is empty or the shapes differ.
+    Infinite for equal pictures: `Scores.means` keeps that out of means. NaN where a value is not finite. Raises
+    ValueError where the region is empty or the shapes differ.
     """
     squared = np.square(_check(image, truth).astype(np.float64) - truth)
     if region is not None:
@@ -25,8 +24,9 @@ def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
     if squared.size == 0:
         raise ValueError("PSNR over no pixel: the region is empty")
     mean = float(squared.mean())
-    # min and max of Python take a NaN for the larger or the smaller, as it stands first or second.
-    return -10.0 * math.log10(max(mean, LEAST_SQUARE)) if math.isfinite(mean) else math.nan
+    if not math.isfinite(mean):
+        return math.nan
+    return -10.0 * math.log10(mean) if mean > 0 else math.inf
 
 
 def ssim_map(image: Image, truth: Image) -> NDArray[np.float64]:

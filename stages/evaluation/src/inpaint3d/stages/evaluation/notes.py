@@ -22,7 +22,7 @@ def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, tru
     """Sentences on what is weak for the method `first`, and on what could not be told."""
     found: list[str] = []
     box = _collect_values(done, names.BOX, "psnr")
-    if names.MEAN_SURROUND in box and box[first] <= box[names.MEAN_SURROUND]:
+    if names.MEAN_SURROUND in box and first in box and box[first] <= box[names.MEAN_SURROUND]:
         found.append(
             f"Weak: {first} does not beat a hole filled with the mean colour of its surround "
             f"({box[first]:.2f} against {box[names.MEAN_SURROUND]:.2f} dB)."
@@ -35,7 +35,7 @@ def list_weaknesses(first: str, done: Sequence[Protocol], masks: MaskSet, *, tru
         )
     known = _collect_values(done, names.HELD_OUT, "psnr")
     for baseline in (names.MEAN_COLOUR, names.WARPED):
-        if baseline in known and known[first] <= known[baseline]:
+        if baseline in known and first in known and known[first] <= known[baseline]:
             found.append(
                 f"Weak: outside the mask {first} does not beat {baseline} on held-out photos "
                 f"({known[first]:.2f} against {known[baseline]:.2f} dB)."

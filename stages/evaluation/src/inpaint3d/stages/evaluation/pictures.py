@@ -8,6 +8,7 @@ from inpaint3d.stages.evaluation.baselines import ring_around
 
 OUTLINE = np.array([1.0, 0.22, 0.42], np.float32)
 BROKEN = np.array([1.0, 0.0, 1.0], np.float32)
+DIFFERENCE_GAIN = 4
 GAP = 4  # pixels of white between panels
 
 # Near is light and warm, far is dark: read at a glance, and still ordered in grey.
@@ -48,6 +49,15 @@ def colour_depth(depth: NDArray[np.float32]) -> Image:
     share = (position - lower)[..., None]
     colours = _RAMP[lower] * (1 - share) + _RAMP[lower + 1] * share
     return np.where(valid[..., None], colours, 0.5).astype(np.float32)
+
+
+def colour_difference(image: Image, truth: Image) -> Image:
+    """How far two pictures [h, w, 3] in [0, 1] differ at each pixel, mean over channels: black is equal, white far.
+
+    The difference is enlarged, so that white is a quarter of the range.
+    """
+    apart = np.abs(image.astype(np.float64) - truth).mean(-1, keepdims=True)
+    return np.broadcast_to(np.clip(apart * DIFFERENCE_GAIN, 0, 1), image.shape).astype(np.float32)
 
 
 def set_side_by_side(panels: list[Image]) -> Image:

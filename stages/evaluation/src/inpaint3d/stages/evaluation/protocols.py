@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from inpaint3d.contracts.models.artifacts import Metric, Protocol
 from inpaint3d.perception import lpips
+from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.reprojection import warp_image
 from inpaint3d.stages.evaluation.baselines import (
@@ -22,16 +23,19 @@ from inpaint3d.stages.evaluation.baselines import (
 from inpaint3d.stages.evaluation.boxes import mask_box
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.features import lite0_features
-from inpaint3d.stages.evaluation.frechet import frechet_distance, kernel_distance
+from inpaint3d.stages.evaluation.frechet import estimate_kernel_distance, frechet_distance
 from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures, reprojection_figures
 from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
 from inpaint3d.stages.evaluation.metrics import psnr, ssim
 from inpaint3d.stages.evaluation.photos import Photo, camera_distance
 from inpaint3d.stages.evaluation.scores import Scores, metric
 
-BOX = "hole-box-vs-truth"
-HOLE = "hole-only-vs-truth"
+BOX = "bbox10-vgg"
+SPIN_NERF = "spin-nerf"
+HOLE = "masked-pixels"
+FULL = "full"
 HELD_OUT = "held-out-known-pixels"
+SAMPLES = "held-out-samples"
 STATISTICS = "hole-statistics"
 CONSISTENCY = "neighbouring-views"
 VARIETY = "between-seeds"
@@ -39,6 +43,10 @@ EACH_PAIR = "all pairs"
 MEAN_SURROUND = "mean-surround"
 MEAN_COLOUR = "mean-colour"
 WARPED = "nearest-photo-warped"
+
+SRGB = "sRGB-encoded, 0 to 1"
+LPIPS_NETWORKS = ("LPIPS v0.1 VGG16", "LPIPS v0.1 AlexNet")
+LITE0 = "EfficientNet-Lite0, 1280 pooled features"
 
 Z_TOLERANCE = 0.02
 """Share of a depth by which the neighbour's own may differ for it to be the same surface."""
@@ -81,8 +89,9 @@ class Bench:
 
 
 def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
-    """`hole-box-vs-truth` and `hole-only-vs-truth`: crops around the hole against views that show what is behind it."""
+    """`bbox10-vgg` and `masked-pixels`: crops around the hole against views that show what is behind it."""
     config = bench.config
+    name = name_box_protocol(config)
     crops: dict[str, list[Image]] = {}
     truths: list[Image] = []
     for photo in photos:
@@ -101,7 +110,7 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         truth, hole = photo.image[box.slices], photo.hole[box.slices]
         cut = {n: np.ascontiguousarray(p[box.relative_to(outer).slices]) for n, p in pictures.items()}
         for label, figures in compare_pictures(cut, truth, perceptual=config.perceptual, device=bench.device).items():
-            bench.scores.add(BOX, label, photo.name, figures)
+            bench.scores.add(name, label, photo.name, figures)
         for label, crop in cut.items():
             crops.setdefault(label, []).append(crop)
             figures = {"psnr": psnr(crop, truth, hole)}
@@ -113,9 +122,92 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
         return []
     sets = set_distances(crops, truths, bench.device) if config.perceptual and len(truths) >= 2 else []
     return [
-        Protocol(name=BOX, description=_describe_box(bench, len(truths)), metrics=(*bench.scores.means(BOX), *sets)),
-        Protocol(name=HOLE, description=_describe_hole(len(truths)), metrics=tuple(bench.scores.means(HOLE))),
+        Protocol(
+            name=name,
+            description=_describe_box(bench, len(truths)),
+            crop=f"the mask's bounding box, {config.box_growth:.0%} wider and higher (half on each side, rounded up), "
+            "cut to the picture",
+            resolution=_describe_resolution(config),
+            colour_range=SRGB,
+            networks=(*LPIPS_NETWORKS, LITE0) if config.perceptual else (),
+            views=len(truths),
+            metrics=(*bench.scores.means(name), *sets),
+        ),
+        Protocol(
+            name=HOLE,
+            description=f"The same {len(truths)} views; only pixels inside the mask itself.",
+            crop="pixels of which at least half lies inside the mask",
+            resolution=_describe_resolution(config),
+            colour_range=SRGB,
+            views=len(truths),
+            metrics=tuple(bench.scores.means(HOLE)),
+        ),
     ]
+
+
+def name_box_protocol(config: Config) -> str:
+    """`bbox10-vgg` for a growth of 10 %, or the published protocol that the crops follow."""
+    return SPIN_NERF if config.box_protocol == SPIN_NERF else f"bbox{100 * config.box_growth:g}-vgg"
+
+
+def score_whole_views(bench: Bench, photos: list[Photo]) -> list[Protocol]:
+    """`full`: whole views against the truth, most of which no method had to make up."""
+    done = 0
+    for photo in photos:
+        renders = {m.label: bench.render_full_view(m, photo) for m in bench.methods}
+        if not bench.check_finite(renders, photo.name):
+            continue
+        pictures = {label: maps["rgb"] for label, maps in renders.items()}
+        scores = compare_pictures(pictures, photo.image, perceptual=bench.config.perceptual, device=bench.device)
+        for label, figures in scores.items():
+            bench.scores.add(FULL, label, photo.name, figures)
+        done += 1
+    if not done:
+        return []
+    return [
+        Protocol(
+            name=FULL,
+            description=f"{done} whole views that show what is really behind the hole, with the mean exposure. Most of "
+            "a view was seen by other photos: read the crops for what was made up.",
+            crop="none: whole views",
+            resolution=_describe_resolution(bench.config),
+            colour_range=SRGB,
+            networks=LPIPS_NETWORKS if bench.config.perceptual else (),
+            views=done,
+            metrics=tuple(bench.scores.means(FULL)),
+        )
+    ]
+
+
+def score_held_out_samples(bench: Bench, photos: list[KnownPhoto], pixels: int) -> list[Protocol]:
+    """`held-out-samples`: what the learning curves of masked fits are taken over, so that they end at these figures."""
+    for method in bench.methods:
+        found = HeldOut.at_random(photos, pixels, bench.device).psnr_of_each(method.field, bench.config.block)
+        if broken := sum(not np.isfinite(value) for value in found):
+            bench.non_finite[f"{method.label}/{SAMPLES}"] = broken
+            return []
+        for number, value in enumerate(found):
+            bench.scores.add(SAMPLES, method.label, f"held-out {number}", {"psnr": value})
+    metrics = tuple(bench.scores.means(SAMPLES))
+    if not metrics:
+        return []
+    return [
+        Protocol(
+            name=SAMPLES,
+            description=f"At most {pixels} known pixels of each photo kept out of training, always the same, rays at "
+            "full size, mean exposure code: what the learning curves show while a field is fitted. "
+            f"{HELD_OUT} compares whole pictures, reduced, with the nearest exposure: another figure.",
+            crop="random known pixels",
+            resolution="the posed frames' own",
+            colour_range=SRGB,
+            views=metrics[0].views,
+            metrics=metrics,
+        )
+    ]
+
+
+def _describe_resolution(config: Config) -> str:
+    return f"at most {config.render_longest_side} px a side, reduced by exact area means"
 
 
 def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayLike) -> list[Protocol]:
@@ -152,6 +244,11 @@ def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: 
             f"method. Fields use the exposure code of the nearest training photo. {MEAN_COLOUR}: the mean colour of "
             f"the training photos' known pixels; {WARPED}: the nearest training photo, warped by depth interpolated "
             "between the sparse points.",
+            crop="known pixels: outside the mask, and seen by the camera",
+            resolution=_describe_resolution(bench.config),
+            colour_range=SRGB,
+            networks=LPIPS_NETWORKS if bench.config.perceptual else (),
+            views=done,
             metrics=tuple(bench.scores.means(HELD_OUT)),
         )
     ]
@@ -287,7 +384,8 @@ def set_distances(
     for label, pictures in crops.items():
         made = lite0_features(pictures, device)
         out.append(metric(label, "fd_lite0", frechet_distance(made, real), len(truths)))
-        out.append(metric(label, "kid_lite0", kernel_distance(made, real), len(truths)))
+        kernel = estimate_kernel_distance(made, real)
+        out.append(metric(label, "kid_lite0", kernel.value, len(truths), standard_error=kernel.standard_error))
     return out
 
 
@@ -309,7 +407,3 @@ def _describe_box(bench: Bench, n: int) -> str:
         f"table mean anything. {MEAN_SURROUND}: the render of {bench.methods[0].label} with its hole "
         "filled by the mean colour of a ring around it."
     )
-
-
-def _describe_hole(n: int) -> str:
-    return f"The same {n} views; only pixels inside the mask itself."

@@ -18,8 +18,10 @@ from inpaint3d.contracts.models.artifacts import (
 )
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.artifact import reduce_camera
+from inpaint3d.radiance.held_out import KnownPhoto
 from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.masked_views import load_masked_scene
 from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.methods import load_methods
@@ -31,9 +33,11 @@ from inpaint3d.stages.evaluation.photos import (
     read_masks,
 )
 from inpaint3d.stages.evaluation.pictures import (
+    DIFFERENCE_GAIN,
     GAP,
     choose_clearest_view,
     colour_depth,
+    colour_difference,
     hide_hole,
     outline_hole,
     set_side_by_side,
@@ -45,8 +49,10 @@ from inpaint3d.stages.evaluation.protocols import (
     compare_seeds,
     score_against_truth,
     score_held_out,
+    score_held_out_samples,
     score_holes,
     score_neighbouring_views,
+    score_whole_views,
 )
 from inpaint3d.stages.evaluation.sparse import score_sparse_points
 
@@ -71,13 +77,17 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     # Statistics of the hole reuse the renders of held-out views where there are any.
     shown = test or choose_evenly(train, min(len(train), max(1, config.picture_views)))
 
-    whole = len({p.name for p in test + shown}) + config.neighbour_views + min(len(truths), config.picture_views)
+    whole_truths = {p.name for n in (config.full_views, config.picture_views) for p in choose_evenly(truths, n)}
+    whole = len({p.name for p in test + shown}) + config.neighbour_views + len(whole_truths)
     steps = len(truths) + len(methods) * whole + 1
     bench = Bench(methods, config, tick=_make_counter(ctx, steps))
+    held_out = [KnownPhoto(v.camera, v.image, v.known) for v in load_masked_scene(capture, masks).test]
     points = load_points(capture.path(capture.metadata.points))
     done = [
         *score_against_truth(bench, truths),
+        *score_whole_views(bench, choose_evenly(truths, config.full_views)),
         *score_held_out(bench, test, train, points.xyz),
+        *score_held_out_samples(bench, held_out, config.held_out_pixels),
         *score_holes(bench, shown),
         *score_neighbouring_views(bench, choose_evenly(shown, config.neighbour_views), photos),
         *compare_seeds(bench, shown),
@@ -166,8 +176,8 @@ def _make_strips(bench: Bench, photos: list[Photo], folder: Path, kind: str) -> 
         ]
         captions = [f"{kind}, hole outlined", *(m.label for m in bench.methods), f"depth of {bench.methods[0].label}"]
         if kind == "truth":
-            panels.append(photo.image)
-            captions.append("truth")
+            panels += [photo.image, colour_difference(renders[0]["rgb"], photo.image)]
+            captions += ["truth", f"difference of {bench.methods[0].label} from it, x{DIFFERENCE_GAIN}"]
         file = f"pictures/{kind}_{photo.name}.png"
         write_png(folder / file, set_side_by_side(panels))
         strips.append(PictureStrip(view=f"{photo.name} ({kind})", file=file, captions=tuple(captions), gap=GAP))

@@ -1,12 +1,17 @@
 """Figures by protocol, method and view; their means are what the artifact states."""
 
 import csv
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import Metric
+
+RESAMPLES = 2000
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -62,12 +67,16 @@ class Scores:
         self.rows += [Score(protocol, method, view, name, round_figure(value)) for name, value in figures.items()]
 
     def means(self, protocol: str) -> list[Metric]:
-        """One Metric for each method and figure of a protocol: the mean over its views."""
+        """One Metric for each method and figure of a protocol: the mean over its views, and the bootstrap's interval.
+
+        Views that equal the truth have no finite PSNR: they are counted, and not in the mean. A figure that no view has
+        a finite value of is left out.
+        """
         groups: dict[tuple[str, str], list[float]] = {}
         for row in self.rows:
             if row.protocol == protocol:
                 groups.setdefault((row.method, row.metric), []).append(row.value)
-        return [metric(method, name, float(np.mean(v)), len(v)) for (method, name), v in groups.items()]
+        return [m for (method, name), v in groups.items() if (m := average(method, name, v)) is not None]
 
     def write(self, path: Path) -> None:
         """A table: protocol, method, view, metric, value."""
@@ -77,12 +86,46 @@ class Scores:
             table.writerows((r.protocol, r.method, r.view, r.metric, r.value) for r in self.rows)
 
 
-def metric(method: str, name: str, value: float, views: int) -> Metric:
+def average(method: str, name: str, values: list[float]) -> Metric | None:
+    """The mean of a figure over its views with the 95 % interval; None where no value is finite."""
+    finite = np.array([v for v in values if math.isfinite(v)])
+    if not finite.size:
+        return None
+    low, high = bootstrap_interval(finite) if finite.size > 1 else (None, None)
+    return metric(
+        method, name, float(np.mean(finite)), finite.size, low=low, high=high, equal_views=sum(map(math.isinf, values))
+    )
+
+
+def bootstrap_interval(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Percentile bootstrap of the mean of values [n] (Efron 1979): where 95 % of the resampled means lie.
+
+    The resamples are the same for equal n, so that methods on the same views are compared alike. Too narrow for few
+    views, as every such interval.
+    """
+    drawn = np.random.default_rng(0).integers(len(values), size=(RESAMPLES, len(values)))
+    tail = (1.0 - CONFIDENCE) / 2
+    low, high = np.quantile(values[drawn].mean(1), [tail, 1.0 - tail])
+    return float(low), float(high)
+
+
+def metric(
+    method: str,
+    name: str,
+    value: float,
+    views: int,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    standard_error: float | None = None,
+    equal_views: int = 0,
+) -> Metric:
     """A figure in the artifact's form."""
     kind = KINDS[name]
+    low, high, standard_error = (None if v is None else round_figure(v) for v in (low, high, standard_error))
     return Metric(
         method=method, name=name, title=kind.title, value=round_figure(value), digits=kind.digits, unit=kind.unit,
-        better=kind.better, views=views,
+        better=kind.better, views=views, low=low, high=high, standard_error=standard_error, equal_views=equal_views,
     )  # fmt: skip
 
 

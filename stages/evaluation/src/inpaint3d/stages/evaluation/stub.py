@@ -11,7 +11,7 @@ from inpaint3d.stages.evaluation.pictures import GAP, colour_depth, hide_hole, s
 from inpaint3d.stages.evaluation.scores import Scores
 
 CONTACT = "pictures/before_mask_after_depth.png"
-PROTOCOL = "hole-box-vs-truth"
+PROTOCOL = "bbox10-vgg"
 CAPTIONS = ("before", "mask", "after (mean-surround)", "depth")
 
 

@@ -1,12 +1,14 @@
 """What a run is judged by, and what a production takes away."""
 
+from typing import Annotated
+
 from pydantic import Field
 
 from inpaint3d.contracts.models.base import Closed, Finite, Positive, RelativePath, Vector3
 
 
 class Metric(Closed):
-    """One figure of one method under one protocol."""
+    """One figure of one method under one protocol: a mean over views, or a figure of the whole set of them."""
 
     method: str = Field(description="label of the radiance field, or the name of an image baseline")
     name: str = Field(description="psnr, ssim, lpips_vgg, lpips_alex, fd_lite0, kid_lite0, ...")
@@ -16,13 +18,25 @@ class Metric(Closed):
     unit: str = Field(description="'dB', '1'")
     better: str = Field(description="'higher' or 'lower'")
     views: int = Field(description="over how many views")
+    low: Finite | None = Field(default=None, description="lower end of the 95 % bootstrap interval over the views")
+    high: Finite | None = Field(default=None, description="its upper end")
+    standard_error: Finite | None = Field(default=None, description="of a figure of the whole set, by the jackknife")
+    equal_views: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="views that equal the truth: their PSNR is infinite and not in the mean"
+    )
 
 
 class Protocol(Closed):
-    """What was measured on what, in words, and the figures."""
+    """What was measured on what, in words, and the figures. Figures of other names or versions are not comparable."""
 
-    name: str = Field(description="e.g. 'hole-box-vs-truth', 'held-out-known-pixels'")
+    name: str = Field(description="e.g. 'bbox10-vgg', 'held-out-known-pixels'")
+    version: Annotated[int, Field(ge=1)] = Field(default=1, description="raised when a figure's meaning changes")
     description: str
+    crop: str = Field(default="", description="which pixels are compared")
+    resolution: str = Field(default="", description="the size that they are compared at")
+    colour_range: str = Field(default="", description="of the colours that are compared")
+    networks: tuple[str, ...] = Field(default=(), description="with their weights, of the figures that need one")
+    views: Annotated[int, Field(ge=0)] | None = Field(default=None, description="how many were scored")
     metrics: tuple[Metric, ...]
 
 

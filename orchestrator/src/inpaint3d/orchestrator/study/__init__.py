@@ -1,0 +1,1 @@
+"""What accuracy costs in time and memory, measured over many settings of a pipeline."""
