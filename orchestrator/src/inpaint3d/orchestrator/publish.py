@@ -7,8 +7,9 @@ from typing import Any
 
 from inpaint3d.contracts.errors import ArtifactError
 from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
-from inpaint3d.contracts.models.report import RunRecord, RunReport, StageFigures
+from inpaint3d.contracts.models.report import EffectFigures, RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Artifact, Store
+from inpaint3d.orchestrator.effects import read_effects
 from inpaint3d.orchestrator.times import render_times
 from inpaint3d.report.page import DOUBT_MARKER, RUN_MARKER, render
 
@@ -35,7 +36,7 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
     if digest := outputs.get("plate-export", {}).get("clean-plates"):
         _copy_plates(store.open(digest, CleanPlates), folder / "plates")
-    report = make_report(record, protocols)
+    report = make_report(record, protocols, read_effects(store, record))
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
     return report
 
@@ -46,7 +47,7 @@ def _render_sections(store: Store, record: RunRecord) -> dict[str, str]:
     return {DOUBT_MARKER: doubts, RUN_MARKER: render_times(store, record)}
 
 
-def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
+def make_report(record: RunRecord, protocols: tuple[Any, ...], effects: tuple[EffectFigures, ...] = ()) -> RunReport:
     stages = tuple(
         StageFigures(
             node=n.node,
@@ -70,6 +71,7 @@ def make_report(record: RunRecord, protocols: tuple[Any, ...]) -> RunReport:
         doubts=record.doubts,
         machine=record.machine,
         stages=stages,
+        effects=effects,
         protocols=protocols,
     )
 
