@@ -71,10 +71,7 @@ def put_masks(store: Store, names: list[str], masks: np.ndarray) -> Digest:
 
 def put_plan(store: Store, *active: str) -> Digest:
     names = ("contraction", "lens-distortion", "exposure", "view-dependence")
-    effects = [
-        Effect(name=n, state="on" if n in active else "off", evidence={}, reason="a test", cost_ratio=1.0)
-        for n in names
-    ]
+    effects = [Effect(name=n, state="on" if n in active else "off", evidence={}, reason="a test") for n in names]
     return store.put(store.private_folder(), "effect-plan", EffectPlan(effects=tuple(effects)))
 
 

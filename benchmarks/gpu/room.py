@@ -82,7 +82,7 @@ def _room(views: int, width: int, height: int) -> SyntheticScene:
 
 
 def _effect(name: str) -> Effect:
-    return Effect(name=name, state="on", evidence={}, reason="a benchmark", cost_ratio=1.0)
+    return Effect(name=name, state="on", evidence={}, reason="a benchmark")
 
 
 def scene_fit(folder: Path, device: str, config: Config, backend: backends.Name | None = None) -> Fit:

@@ -145,6 +145,24 @@ def test_a_stage_alone_whose_inputs_are_not_there_says_so(cli, capture):
     assert "evaluation (after " in result.stderr
 
 
+def test_decisions_on_effects_are_in_metrics_and_shown(ran):
+    cli, _ = ran
+    effects = json.loads((cli.runs / "tiny" / "metrics.json").read_text())["effects"]
+    assert {e["effect"]["name"]: e["effect"]["state"] for e in effects}["exposure"] == "off"
+    shown = cli("show", "tiny")
+    assert shown.returncode == 0
+    assert "view-dependence" in shown.stdout
+
+
+def test_a_plan_of_effects_stops_after_the_analysis(cli, capture):
+    result = cli("plan", str(capture), "--stub", "--effects", "--effect", "exposure=on", "--name", "asked")
+    assert result.returncode == 0, result.stderr
+    assert "forced-on" in result.stdout
+    states = cli.statuses("asked")
+    assert states["scene-analysis"] == "done"
+    assert states.get("nerf-pretraining") in (None, "skipped", "pending")
+
+
 def test_a_damaged_artifact_is_found_and_computed_again(ran):
     cli, arguments = ran
     report = json.loads((cli.runs / "tiny" / "metrics.json").read_text())

@@ -19,8 +19,8 @@ from inpaint3d.radiance.io import load_field, save_field
 from inpaint3d.radiance.optim import Adam
 from inpaint3d.radiance.rays import camera_rays
 from inpaint3d.radiance.rendering import render
-from inpaint3d.radiance.sizing import cube_half_side
 from inpaint3d.scene.cameras import Camera, look_at
+from inpaint3d.scene.effects.contraction import cube_half_side
 from tests.stability.catalogue import hard_case
 
 ACTIVATIONS, ADAM, KEPT = "Activations", "Adam", "What is kept"

@@ -21,11 +21,11 @@ from inpaint3d.radiance.backends import AdamStep, select
 from inpaint3d.radiance.contraction import contract
 from inpaint3d.radiance.directions import spherical_harmonics
 from inpaint3d.radiance.losses import charbonnier, distortion
-from inpaint3d.radiance.sizing import cube_half_side
 from inpaint3d.radiance.spacing import Spacing, below_limit
 from inpaint3d.radiance.volume import alpha_weights, median_distance
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.colour import from_bytes, linear_from_srgb, srgb_from_linear, to_bytes
+from inpaint3d.scene.effects.contraction import cube_half_side
 from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.scene.geometry import Similarity, ray_sphere, rotation_about_z, rotation_between
 from inpaint3d.scene.morphology import close, grow, shrink

@@ -53,7 +53,7 @@ RUN = """\
             kept.write_text('{"count": 1}')
             raise InterruptedRun("stopped")
         count = read_count(kept) if kept.exists() else 0
-        effect = Effect(name="exposure", state="off", evidence={"count": count}, reason="still", cost_ratio=1.0)
+        effect = Effect(name="exposure", state="off", evidence={"count": count}, reason="still")
         outputs.write("effect-plan", EffectPlan(effects=(effect,)))
     """
 

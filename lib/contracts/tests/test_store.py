@@ -18,9 +18,7 @@ from inpaint3d.contracts.models.manifest import MANIFEST, Manifest, read_metadat
 from inpaint3d.contracts.store import FolderStore, Record, key_path, object_file, open_store, this_process
 from inpaint3d.contracts.store.bucket import BucketStore
 
-PLAN = EffectPlan(
-    effects=(Effect(name="exposure", state="off", evidence={"ev": 0.01}, reason="still", cost_ratio=1.0),)
-)
+PLAN = EffectPlan(effects=(Effect(name="exposure", state="off", evidence={"ev": 0.01}, reason="still"),))
 
 
 @pytest.fixture(params=["folder", "bucket"])

@@ -42,7 +42,7 @@ WRITER = """\
     from inpaint3d.contracts.models.artifacts import Effect, EffectPlan
 
     def {name}(config, inputs, outputs, ctx):
-        effect = Effect(name="exposure", state="off", evidence={{}}, reason="still", cost_ratio=1.0)
+        effect = Effect(name="exposure", state="off", evidence={{}}, reason="still")
         outputs.write("effect-plan", EffectPlan(effects=(effect,) * config.effects))
         ctx.progress(1, 1)
     """

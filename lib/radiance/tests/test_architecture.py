@@ -15,10 +15,7 @@ EFFECTS = ("contraction", "exposure", "view-dependence")
 
 def plan(*on: str) -> EffectPlan:
     states = {name: "on" if name in on else "off" for name in EFFECTS}
-    effects = [
-        Effect.model_validate({"name": n, "state": s, "evidence": {}, "reason": "", "cost_ratio": 1})
-        for n, s in states.items()
-    ]
+    effects = [Effect.model_validate({"name": n, "state": s, "evidence": {}, "reason": ""}) for n, s in states.items()]
     return EffectPlan(effects=tuple(effects))
 
 

@@ -81,7 +81,7 @@ def posed(store: Store, scene: SyntheticScene, *, test: tuple[int, ...] = TEST_V
 
 def plan(store: Store, *on: str) -> str:
     effects = tuple(
-        Effect(name=name, state="on" if name in on else "off", evidence={}, reason="test", cost_ratio=1)  # pyright: ignore[reportArgumentType]
+        Effect(name=name, state="on" if name in on else "off", evidence={}, reason="test")  # pyright: ignore[reportArgumentType]
         for name in ("contraction", "exposure", "view-dependence")
     )
     return store.put(store.private_folder(), "effect-plan", EffectPlan(effects=effects))

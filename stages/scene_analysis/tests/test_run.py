@@ -2,17 +2,18 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
-from inpaint3d.contracts.models.artifacts import EffectPlan, LensModel, PosedCapture, Registration
+from inpaint3d.contracts.models.artifacts import Effect, EffectPlan, LensModel, PosedCapture, Registration
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import FolderStore
 from inpaint3d.scene.capture_io import write_points, write_view
 from inpaint3d.scene.colour import linear_from_srgb, srgb_from_linear
 from inpaint3d.scene.synthetic import synthetic_scene
-from inpaint3d.stages.scene_analysis.config import Config
+from inpaint3d.stages.scene_analysis.config import NAMES, Config
 from inpaint3d.stages.scene_analysis.run import run
 
 STAGE = load_stage(Path(__file__).parents[1] / "stage.yaml")
@@ -21,7 +22,14 @@ PINHOLE = LensModel(model="PINHOLE", params=(150.0, 150.0, 80.0, 60.0), evidence
 ROOM = synthetic_scene(views=10, width=160, height=120, arc_deg=60, points=600)
 
 
-def plan(folder, images=ROOM.images, config=None, xyz=None, lens=PINHOLE, exif=None) -> dict:
+QUICK = Config(probe_steps=0)
+
+
+def plan(folder, images=ROOM.images, config=QUICK, xyz=None, lens_effect=None, exif=None) -> dict:
+    return {e.name: e for e in analyse(folder, images, config, xyz, lens_effect, exif).metadata.effects}
+
+
+def analyse(folder, images=ROOM.images, config=QUICK, xyz=None, lens_effect=None, exif=None):
     store = FolderStore(folder / "store")
     inner = store.private_folder()
     points = ROOM.points
@@ -36,16 +44,16 @@ def plan(folder, images=ROOM.images, config=None, xyz=None, lens=PINHOLE, exif=N
         median_triangulation_angle_deg=20.0,
     )  # fmt: skip
     metadata = PosedCapture(
-        frames=frames, ordered=True, lens=lens, registration=registration, source_from_normalised_scale=1.0,
+        frames=frames, ordered=True, lens=PINHOLE, lens_effect=lens_effect,
+        registration=registration, source_from_normalised_scale=1.0,
         source_from_normalised=IDENTITY, centre_depth=0.85, up_evidence="exact",
     )  # fmt: skip
     inputs = Inputs(store, STAGE, {"posed-capture": store.put(inner, "posed-capture", metadata)})
     outputs = Outputs(store, STAGE)
     work = store.private_folder()
     ctx = Context(seed=0, device="cpu", threads=1, work=work, emit=lambda event, **values: None)
-    run(config or Config(), inputs, outputs, ctx)
-    result = store.open(outputs.store_all()["effect-plan"], EffectPlan).metadata
-    return {e.name: e for e in result.effects}
+    run(config, inputs, outputs, ctx)
+    return store.open(outputs.store_all()["effect-plan"], EffectPlan)
 
 
 def brightened(ev):
@@ -55,9 +63,7 @@ def brightened(ev):
 
 def test_an_ideal_camera_in_a_dull_room_calls_for_nothing(tmp_path):
     effects = plan(tmp_path)
-    assert {name: e.state for name, e in effects.items()} == {
-        "contraction": "off", "lens-distortion": "off", "exposure": "off", "view-dependence": "off",
-    }  # fmt: skip
+    assert {name: e.state for name, e in effects.items()} == dict.fromkeys(NAMES, "off")
     assert effects["exposure"].evidence["gain_spread_ev"] < 0.03
 
 
@@ -106,15 +112,33 @@ def test_a_far_background_calls_for_contraction(tmp_path):
     assert effect.evidence["share_beyond_far_radius"] == pytest.approx(0.1, abs=0.005)
 
 
-def test_a_bent_lens_is_reported(tmp_path):
-    bent = LensModel(model="SIMPLE_RADIAL", params=(150.0, 80.0, 60.0, 0.05), evidence="test")
-    effect = plan(tmp_path, lens=bent)["lens-distortion"]
-    assert effect.state == "on"
-    assert effect.evidence["corner_displacement_px"] == pytest.approx(150 * 0.05 * (100 / 150) ** 3)
+def test_what_was_decided_about_the_lens_is_taken_over(tmp_path):
+    decided = Effect(name="lens-distortion", state="on", evidence={"corner_px": 3.0}, reason="bends")
+    assert plan(tmp_path, lens_effect=decided)["lens-distortion"] == decided
+
+
+def test_blurred_frames_are_left_out_and_named(tmp_path):
+    images = ROOM.images.copy()
+    images[4] = cv2.GaussianBlur(images[4], (0, 0), 3.0)
+    found = analyse(tmp_path, images).metadata
+    assert [(one.name, one.effect, one.mask) for one in found.ignored] == [(ROOM.names[4], "blur", None)]
+    off = analyse(tmp_path / "off", images, Config(force={"blur": False}, probe_steps=0)).metadata
+    assert off.ignored == ()
+
+
+def test_what_passes_by_is_masked(tmp_path):
+    found = analyse(tmp_path, config=Config(force={"transients": True}, probe_steps=0))
+    assert found.metadata.active("transients")
+    assert found.metadata.ignored == ()  # nobody is there
+
+
+def test_costs_lie_beside_the_artifact_and_not_in_it(tmp_path):
+    found = analyse(tmp_path / "a", config=Config(probe_steps=1))
+    assert found.metadata == analyse(tmp_path / "b").metadata
 
 
 def test_force_overrules_and_keeps_the_evidence(tmp_path):
-    config = Config.model_validate({"force": {"exposure": "on", "view-dependence": False}})
+    config = Config.model_validate({"force": {"exposure": "on", "view-dependence": False}, "probe_steps": 0})
     effects = plan(tmp_path, config=config)
     assert effects["exposure"].state == "forced-on"
     assert effects["exposure"].active
@@ -125,3 +149,9 @@ def test_force_overrules_and_keeps_the_evidence(tmp_path):
 def test_an_unknown_effect_cannot_be_forced():
     with pytest.raises(ValueError, match="fog"):
         Config.model_validate({"force": {"fog": True}})
+
+
+def test_what_nothing_simulates_cannot_be_switched_on():
+    with pytest.raises(ValueError, match="vignetting cannot be switched on"):
+        Config.model_validate({"force": {"vignetting": True}})
+    assert Config.model_validate({"force": {"vignetting": False}}).force == {"vignetting": False}

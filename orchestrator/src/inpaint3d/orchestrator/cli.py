@@ -21,9 +21,10 @@ from inpaint3d.contracts.models.cluster import Image, ImagesSpec
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import RunRecord
-from inpaint3d.contracts.store import open_store
+from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.dataset import DATASETS, SceneScore, find_scenes, read_figures, tabulate
+from inpaint3d.orchestrator.effects import find_analysis, read_effects
 from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     AcceptDoubtful,
@@ -39,6 +40,7 @@ from inpaint3d.orchestrator.options import (
     Request,
     Scene,
     SceneRequest,
+    ShowEffects,
     Wait,
     with_options,
 )
@@ -51,7 +53,7 @@ from inpaint3d.orchestrator.run_folder import check_capture, own_folder
 from inpaint3d.orchestrator.runners.container import ContainerRunner, find_engine
 from inpaint3d.orchestrator.runners.process import ProcessRunner, Runner
 from inpaint3d.orchestrator.saved_mask import command_to_edit, path_of, use_saved
-from inpaint3d.orchestrator.tables import printable, show_nodes, show_scores
+from inpaint3d.orchestrator.tables import printable, show_effects, show_nodes, show_scores
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -237,12 +239,41 @@ def plan(
     environment: Environment,
     places: Places,
     name: Name = None,
+    effects: ShowEffects = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say what `run` would do and why, stage by stage, without doing it."""
-    configured = ConfiguredRequest(use_saved(request, places.runs_dir / name_run(capture, name)), selection)
-    planner = configured.planner(open_store(places.store), capture, name, _load_images(environment))
+    """Say what `run` would do and why, stage by stage, without doing it.
+
+    With --effects, run up to the analysis of the scene, and print what it calls for before anything is trained.
+    """
+    folder, store = places.runs_dir / name_run(capture, name), open_store(places.store)
+    configured = ConfiguredRequest(use_saved(request, folder), selection)
+    if effects:
+        code = _plan_effects(configured, store, capture, name, folder, environment, as_json=as_json)
+        raise typer.Exit(code)
+    planner = configured.planner(store, capture, name, _load_images(environment))
     show_nodes(preview(planner, selection), as_json=as_json)
+
+
+def _plan_effects(
+    configured: ConfiguredRequest,
+    store: Store,
+    capture: Path,
+    name: str | None,
+    folder: Path,
+    environment: Environment,
+    *,
+    as_json: bool,
+) -> int:
+    """Run what the effects are decided by, print them; returns the exit code."""
+    until = Selection(until=find_analysis(configured.pipeline.pipeline))
+    images = _load_images(environment)
+    runner = ProcessRunner() if images is None else ContainerRunner(find_engine(None), images)
+    with own_folder(folder), store.shared():
+        planner = configured.planner(store, capture, name, images)
+        record, code = _carry_out(planner, until, folder, "auto", runner)
+    show_effects(read_effects(store, record), as_json=as_json)
+    return code
 
 
 @app.command()

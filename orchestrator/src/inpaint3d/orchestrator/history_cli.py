@@ -8,6 +8,7 @@ import typer
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline
+from inpaint3d.contracts.models.report import EffectFigures
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import comparison, housekeeping
 from inpaint3d.orchestrator.history import History, name_status
@@ -16,7 +17,7 @@ from inpaint3d.orchestrator.plan import find_pipeline
 from inpaint3d.orchestrator.provenance import find_unproved
 from inpaint3d.orchestrator.publish import publish, read_report
 from inpaint3d.orchestrator.run_folder import own_folder
-from inpaint3d.orchestrator.tables import print_table, printable, show_nodes
+from inpaint3d.orchestrator.tables import print_table, printable, show_effects, show_nodes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -65,6 +66,9 @@ def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json
         sys.stdout.write(json.dumps(report, indent=2) + "\n")
         return
     show_nodes(list(History(open_store(store)).latest(name).nodes), as_json=False)
+    if effects := [EffectFigures.model_validate(e) for e in report.get("effects", [])]:
+        sys.stdout.write("\n")
+        show_effects(effects)
     if course := report.get("course"):
         sys.stdout.write(printable(f"\naccuracy and time: {course['sentence']}\n"))
     for protocol in report["protocols"]:

@@ -28,6 +28,10 @@ Preset = Annotated[
     str | None, typer.Option(help="draft, standard, creative, high, paper or spin-nerf; default: the pipeline's")
 ]
 Set = Annotated[list[str] | None, typer.Option("--set", help="STAGE.PARAM=VALUE, or STAGE.seed=N; may be repeated")]
+Effects = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="NAME=on|off|auto: overrule what scene analysis decides; may be repeated"),
+]
 Scene = Annotated[list[str] | None, typer.Option("--scene", help="subfolder of CAPTURE; may be repeated: one run each")]
 Only = Annotated[str | None, typer.Option(help="run this stage alone")]
 From = Annotated[str | None, typer.Option("--from", help="run this stage and what depends on it")]
@@ -74,6 +78,9 @@ Replace = Annotated[bool, typer.Option("--replace", help="take over a name whose
 AcceptDoubtful = Annotated[
     bool, typer.Option("--accept-doubtful", help="go on where a result cannot be right; the report begins with why")
 ]
+ShowEffects = Annotated[
+    bool, typer.Option("--effects", help="run up to the analysis, and print which effects the capture calls for")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="as JSON")]
 
 STORE = ".inpaint3d/store"
@@ -87,6 +94,7 @@ class Request:
 
     preset: Preset = None
     assignments: Set = None
+    effects: Effects = None
     prior: Prior = None
     corpus: Corpus = None
     seed: Seed = 0

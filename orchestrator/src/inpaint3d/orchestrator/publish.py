@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
-from inpaint3d.contracts.models.report import AccuracyCourse, RunRecord, RunReport, StageFigures
+from inpaint3d.contracts.models.report import AccuracyCourse, EffectFigures, RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.accuracy import follow_accuracy
+from inpaint3d.orchestrator.effects import read_effects
 from inpaint3d.orchestrator.pages.report import render_report
 
 REPORT = "report.html"
@@ -39,13 +40,19 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
         _copy_plates(store.open(digest, CleanPlates), folder / "plates")
     else:
         remove(folder / "plates")
-    report = make_report(record, protocols, course)
+    effects = read_effects(store, record)
+    report = make_report(record, protocols, effects, course)
     _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
     _write(folder / REPORT, render_report(store, record, folder, course).encode())
     return report
 
 
-def make_report(record: RunRecord, protocols: tuple[Any, ...], course: AccuracyCourse | None = None) -> RunReport:
+def make_report(
+    record: RunRecord,
+    protocols: tuple[Any, ...],
+    effects: tuple[EffectFigures, ...] = (),
+    course: AccuracyCourse | None = None,
+) -> RunReport:
     stages = tuple(
         StageFigures(
             node=n.node,
@@ -69,6 +76,7 @@ def make_report(record: RunRecord, protocols: tuple[Any, ...], course: AccuracyC
         doubts=record.doubts,
         machine=record.machine,
         stages=stages,
+        effects=effects,
         protocols=protocols,
         course=course,
     )

@@ -9,6 +9,7 @@ from inpaint3d.contracts.models.cluster import Image
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import Store
 from inpaint3d.orchestrator.configure import Settings, configure
+from inpaint3d.orchestrator.effects import switch_effects
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import (
     CORPUS,
@@ -35,7 +36,11 @@ class ConfiguredRequest:
         """Raises ConfigurationError for what cannot be, and for what would change nothing."""
         self.request, self.whole = request, Pipeline(find_pipeline(request.pipeline))
         preset = request.preset or self.whole.spec.spec.defaultPreset
-        self.overrides = parse_overrides(self.whole.under(preset), request.assignments or [])
+        self.overrides = switch_effects(
+            self.whole.under(preset),
+            request.effects or [],
+            parse_overrides(self.whole.under(preset), request.assignments or []),
+        )
         self.paths = locate_externals(
             mask=request.mask, prior=request.prior, corpus=request.corpus, painted=request.painted
         )

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from inpaint3d.contracts.models.report import NodeRun
+from inpaint3d.contracts.models.report import EffectFigures, NodeRun
 
 
 def printable(text: str) -> str:
@@ -42,6 +42,22 @@ def _describe_node(n: NodeRun) -> list[str]:
     figures = ["" if v is None else f"{v:.1f}" for v in (n.wall_s, n.cpu_s)]
     changes = "".join(f"\n  {c.component}: {json.dumps(c.old)} -> {json.dumps(c.new)}" for c in n.changes)
     return [n.node, n.status, *figures, memory, n.reason + changes]
+
+
+def show_effects(effects: Sequence[EffectFigures], *, as_json: bool = False) -> None:
+    """Decisions with what they rest on: effect size, held-out gain, measured cost."""
+    if as_json:
+        sys.stdout.write(json.dumps([e.model_dump(mode="json") for e in effects], indent=2) + "\n")
+        return
+    columns = ("effect", "state", "size (95 %)", "gain (95 %)", "step", "why")
+    print_table(columns, map(_describe_effect, effects), wrapped=("why",), width=160)
+
+
+def _describe_effect(found: EffectFigures) -> list[str]:
+    effect = found.effect
+    ranges = ["" if i is None else f"{i.value:.3g} ({i.low:.3g} to {i.high:.3g})" for i in (effect.size, effect.gain)]
+    cost = "" if found.step_ratio is None else f"x {found.step_ratio:.2f}"
+    return [effect.name, effect.state, *ranges, cost, effect.reason]
 
 
 def show_scores(table: dict[str, Any]) -> None:

@@ -5,13 +5,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
 from inpaint3d.radiance.architecture import Architecture, planned_spec
-
-# Without contraction the cube is just large enough for this percentage of the sparse points (outliers would make it far
-# too large), times the margin.
-POINTS_INSIDE, CUBE_MARGIN = 99.0, 1.1
-# Scene analysis calls a scene bounded that has up to 2 % of its points far away. Where these reach this many times as
-# far as all but 3 %, the cube leaves them out.
-CORE_INSIDE, FAR_BEYOND = 97.0, 2.0
+from inpaint3d.scene.effects.contraction import cube_half_side
 
 
 def field_spec(
@@ -57,14 +51,3 @@ def field_spec(
         near_share=size.near_share,
         bound=cube_half_side(points),
     )
-
-
-def cube_half_side(points: NDArray[np.float32]) -> float:
-    """Half side, in scene units, of the cube round the origin that holds the cameras and the sparse points [p, 3].
-
-    What few points lie far beyond all others does not count: the cells would be spent on the space between.
-    """
-    if not len(points):
-        return CUBE_MARGIN
-    reach, core = np.percentile(np.abs(points).max(-1), (POINTS_INSIDE, CORE_INSIDE))
-    return CUBE_MARGIN * max(1.0, float(core if reach > FAR_BEYOND * core else reach))

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.contracts.models.artifacts import MaskSet, MaskView, PosedCapture
+from inpaint3d.contracts.models.artifacts import EffectPlan, MaskSet, MaskView, PosedCapture
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, load_points, load_posed
+from inpaint3d.scene.evidence_masks import IgnoredPixels
 from inpaint3d.scene.image_io import Mask, read_mask
 
 
@@ -50,12 +51,19 @@ class MaskedScene:
         return self.sparse.xyz
 
 
-def load_masked_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -> MaskedScene:
+def load_masked_scene(
+    posed: Artifact[PosedCapture],
+    masks: Artifact[MaskSet],
+    plan: Artifact[EffectPlan] | None = None,
+    *,
+    whole_frames: bool = True,
+) -> MaskedScene:
     """Every posed view with its mask. BadInputError where a mask is missing, misshapen or leaves nothing known.
 
     The hole is what the mask set says: all of the mask, or what of it no other view shows; the rest of the mask is then
-    neither hole nor known.
+    neither hole nor known. Nor is what the plan's effects take out of the evidence (`IgnoredPixels`).
     """
+    ignored = IgnoredPixels(plan, whole_frames=whole_frames)
     by_name = {m.name: m for m in masks.metadata.views}
     views: dict[str, list[MaskedView]] = {"train": [], "test": []}
     covered: dict[str, Mask] = {}
@@ -64,7 +72,7 @@ def load_masked_scene(posed: Artifact[PosedCapture], masks: Artifact[MaskSet]) -
             raise BadInputError(f"the mask set has no mask for view {view.name}; re-run mask-authoring on this capture")
         size = (view.camera.width, view.camera.height)
         masked = read_mask(masks.path(mask.mask), size)
-        known = view.valid() & ~masked
+        known = ignored.take_from(view.valid() & ~masked, view.name, view.camera)
         # Blanked when the view is read, so that no later code can use masked pixels, not even by mistake.
         image = np.where(known[..., None], view.image(), np.float32(0))
         covered[view.name] = masked

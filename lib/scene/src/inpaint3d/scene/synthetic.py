@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 BALL_RADIUS = 0.2
 ROOM_LOW = np.array([-1.3, -1.3, -BALL_RADIUS])
 ROOM_HIGH = np.array([1.3, 1.3, 1.1])
+_FLOOR = 2
 _BALL = 6  # surfaces 0 to 5 are the room's: low x, y, z, then high x, y, z
 _TINT = np.array(
     [
@@ -45,11 +46,20 @@ class SyntheticScene:
 
 
 def synthetic_scene(
-    views: int = 8, width: int = 48, height: int = 36, seed: int = 0, points: int = 400, arc_deg: float = 110.0
+    views: int = 8,
+    width: int = 48,
+    height: int = 36,
+    seed: int = 0,
+    points: int = 400,
+    arc_deg: float = 110.0,
+    reach: float = 1.0,
 ) -> SyntheticScene:
-    """Views along an arc round the ball; the same arguments give the same bytes."""
+    """Views along an arc round the ball; the same arguments give the same bytes.
+
+    reach: how many times as far the walls and the ceiling stand, their textures as much coarser.
+    """
     cameras = arc_cameras(views, width, height, arc_deg)
-    rendered = [_render(c, seed) for c in cameras]
+    rendered = [_render(c, seed, reach) for c in cameras]
     pictures, full, empty, masks = (np.stack(part) for part in zip(*rendered, strict=True))
     return SyntheticScene(
         names=[f"view_{i:03d}" for i in range(views)],
@@ -59,7 +69,7 @@ def synthetic_scene(
         object_masks=masks,
         empty_images=pictures[:, 1],
         empty_depths=empty,
-        points=_sample_points(cameras, pictures[:, 0], points, seed),
+        points=_sample_points(cameras, pictures[:, 0], points, seed, reach),
     )
 
 
@@ -77,10 +87,10 @@ def arc_cameras(views: int, width: int, height: int, arc_deg: float = 110.0) -> 
     return cameras
 
 
-def cast(origins: Floats, directions: Floats, *, ball: bool) -> tuple[Floats, NDArray[np.int64]]:
+def cast(origins: Floats, directions: Floats, *, ball: bool, reach: float = 1.0) -> tuple[Floats, NDArray[np.int64]]:
     """Distance [*n] along unit rays from inside the room, and the surface they meet (`_BALL`, or the room's 0 to 5)."""
     with np.errstate(divide="ignore"):
-        planes = np.where(directions < 0, ROOM_LOW, ROOM_HIGH)
+        planes = np.where(directions < 0, ROOM_LOW * (reach, reach, 1.0), ROOM_HIGH * reach)
         t = np.where(directions == 0, np.inf, (planes - origins) / directions)
     axis = np.argmin(t, -1)
     distance = np.take_along_axis(t, axis[..., None], -1)[..., 0]
@@ -92,13 +102,14 @@ def cast(origins: Floats, directions: Floats, *, ball: bool) -> tuple[Floats, ND
     return distance, surface
 
 
-def shade(points: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
+def shade(points: Floats, surface: NDArray[np.int64], seed: int, reach: float = 1.0) -> Floats:
     """Colour [*n, 3] in [0, 1] of surface points [*n, 3]."""
     axis = np.where(surface == _BALL, 0, surface % 3)
     flat = np.stack([np.where(axis == 0, points[..., 1], points[..., 0]),
                      np.where(axis == 2, points[..., 1], points[..., 2])], -1)  # fmt: skip
     turn = np.arctan2(points[..., 1], points[..., 0]) * BALL_RADIUS
     uv = np.where((surface == _BALL)[..., None], np.stack([turn, points[..., 2]], -1), flat)
+    uv = uv / np.where((surface == _BALL) | (surface == _FLOOR), 1.0, reach)[..., None]
     texture = sum(weight * _evaluate_noise(uv / cell, surface, seed + k) for k, (cell, weight) in enumerate(_OCTAVES))
     normal = np.where(surface < 3, 1.0, -1.0)[..., None] * np.eye(3)[axis]
     normal = np.where((surface == _BALL)[..., None], points / BALL_RADIUS, normal)
@@ -106,22 +117,22 @@ def shade(points: Floats, surface: NDArray[np.int64], seed: int) -> Floats:
     return np.clip(_TINT[surface] * light[..., None] + 1.1 * (texture - 0.5), 0.0, 1.0)
 
 
-def _render(camera: Camera, seed: int) -> tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_]]:
+def _render(camera: Camera, seed: int, reach: float) -> tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_]]:
     """Pictures [2, h, w, 3] with and without the ball (means of 2x2 samples), depths [2, h, w] and mask [h, w]."""
     xy = camera.pixel_centres()
     colour = np.zeros((2, camera.height, camera.width, 3))
     for dx, dy in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
         origins, directions = camera.rays(xy + np.array([dx, dy]))
-        distance, surface = cast(origins, directions, ball=False)
-        room = shade(origins + distance[..., None] * directions, surface, seed)
-        distance, surface = cast(origins, directions, ball=True)
+        distance, surface = cast(origins, directions, ball=False, reach=reach)
+        room = shade(origins + distance[..., None] * directions, surface, seed, reach)
+        distance, surface = cast(origins, directions, ball=True, reach=reach)
         on_ball = surface == _BALL
         points = origins[on_ball] + distance[on_ball, None] * directions[on_ball]
         colour[1] += room / 4
         room[on_ball] = shade(points, surface[on_ball], seed)
         colour[0] += room / 4
     origins, directions = camera.rays()
-    (full, surface), (empty, _) = (cast(origins, directions, ball=b) for b in (True, False))
+    (full, surface), (empty, _) = (cast(origins, directions, ball=b, reach=reach) for b in (True, False))
     along = directions @ camera.forward
     return colour.astype(np.float32), full * along, empty * along, surface == _BALL
 
@@ -141,7 +152,9 @@ def _evaluate_noise(uv: Floats, surface: NDArray[np.int64], seed: int) -> Floats
     return low * (1 - v) + high * v
 
 
-def _sample_points(cameras: list[Camera], images: NDArray[np.float32], count: int, seed: int) -> SparsePoints:
+def _sample_points(
+    cameras: list[Camera], images: NDArray[np.float32], count: int, seed: int, reach: float
+) -> SparsePoints:
     """Surface points behind random pixels that at least three views (or all, if fewer) see, with exact tracks."""
     rng = np.random.default_rng(seed)
     frame = rng.integers(0, len(cameras), 4 * count)
@@ -149,8 +162,8 @@ def _sample_points(cameras: list[Camera], images: NDArray[np.float32], count: in
     pixels = rng.random((4 * count, 2)) * size
     rays = [cameras[k].rays(p) for k, p in zip(frame, pixels, strict=True)]
     origins, directions = np.stack([r[0] for r in rays]), np.stack([r[1] for r in rays])
-    xyz = origins + cast(origins, directions, ball=True)[0][:, None] * directions
-    xy, seen = zip(*(_sees(c, xyz) for c in cameras), strict=True)
+    xyz = origins + cast(origins, directions, ball=True, reach=reach)[0][:, None] * directions
+    xy, seen = zip(*(_sees(c, xyz, reach) for c in cameras), strict=True)
     seen = np.stack(seen)
     kept = np.flatnonzero(seen.sum(0) >= min(3, len(cameras)))[:count]
     point, track_frame = np.nonzero(seen[:, kept].T)
@@ -165,10 +178,10 @@ def _sample_points(cameras: list[Camera], images: NDArray[np.float32], count: in
     )
 
 
-def _sees(camera: Camera, xyz: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _sees(camera: Camera, xyz: Floats, reach: float) -> tuple[Floats, NDArray[np.bool_]]:
     """Where points fall in a view, and whether nothing stands in front of them."""
     xy, z = camera.project(xyz)
     away = xyz - camera.centre
     distance = np.linalg.norm(away, axis=-1)
-    met, _ = cast(np.broadcast_to(camera.centre, xyz.shape), away / distance[:, None], ball=True)
+    met, _ = cast(np.broadcast_to(camera.centre, xyz.shape), away / distance[:, None], ball=True, reach=reach)
     return xy, camera.inside(xy, z) & (np.abs(met - distance) < 1e-6)

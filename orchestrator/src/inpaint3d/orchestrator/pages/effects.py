@@ -1,32 +1,44 @@
-"""The effect plan as a page tells it. This is the one place that reads its model."""
+"""The effect plan as a page tells it: what the capture calls for, on what evidence, at what cost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from inpaint3d.contracts.models.artifacts import EffectPlan
+from inpaint3d.contracts.models.artifacts.effects import Effect, Interval
+from inpaint3d.contracts.models.report import EffectFigures
 
 
 @dataclass(frozen=True)
 class EffectRow:
-    """One effect: whether the capture calls for it, in which words, on what evidence, at what cost."""
+    """One effect: its state, in which words, on what evidence, at what cost."""
 
     name: str
-    called_for: bool
+    state: str
     reason: str
     evidence: str
     cost: str
 
 
-def describe_effects(plan: EffectPlan) -> Sequence[EffectRow]:
+def describe_effects(found: Sequence[EffectFigures]) -> list[EffectRow]:
     """What is simulated first, then what is not."""
     rows = [
         EffectRow(
-            name=effect.name.replace("-", " "),
-            called_for=effect.active,
-            reason=f"by parameter: {effect.reason}" if effect.state.startswith("forced") else effect.reason,
-            evidence="; ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in effect.evidence.items()),
-            cost=f"{effect.cost_ratio:.2f} ×",
+            name=figures.effect.name.replace("-", " "),
+            state=figures.effect.state,
+            reason=figures.effect.reason,
+            evidence=_describe_evidence(figures.effect),
+            cost="" if figures.step_ratio is None else f"{figures.step_ratio:.2f} ×",
         )
-        for effect in plan.effects
+        for figures in sorted(found, key=lambda figures: not figures.effect.active)
     ]
-    return sorted(rows, key=lambda row: not row.called_for)
+    return rows
+
+
+def _describe_evidence(effect: Effect) -> str:
+    parts = [_describe_interval(what, i) for what, i in (("size", effect.size), ("gain", effect.gain)) if i is not None]
+    parts += [f"{name.replace('_', ' ')} {value:.4g}" for name, value in effect.evidence.items()]
+    return "; ".join(parts)
+
+
+def _describe_interval(what: str, found: Interval) -> str:
+    unit = f" {found.unit}" if found.unit else ""
+    return f"{what} {found.value:.3g}{unit} (95 %: {found.low:.3g} to {found.high:.3g})"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TypeVar
 
 from inpaint3d.contracts.models.artifacts import (
-    EffectPlan,
     Evaluation,
     MaskSet,
     PictureStrip,
@@ -23,6 +22,7 @@ from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.report import AccuracyCourse, NodeRun, RunRecord
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.orchestrator.accuracy import render_course
+from inpaint3d.orchestrator.effects import read_effects
 from inpaint3d.orchestrator.pages.dag import draw_dag, format_seconds
 from inpaint3d.orchestrator.pages.effects import EffectRow, describe_effects
 from inpaint3d.orchestrator.pages.orbit import Orbit, build_orbit
@@ -69,8 +69,7 @@ class Page:
 
     @property
     def effects(self) -> Sequence[EffectRow]:
-        plan = self._open("scene-analysis", "effect-plan", EffectPlan)
-        return describe_effects(plan.metadata) if plan else ()
+        return describe_effects(read_effects(self.store, self.record))
 
     @property
     def contact(self) -> Strip | None:

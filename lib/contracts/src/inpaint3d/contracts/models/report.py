@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import Field
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.models.artifacts.effects import Effect
 from inpaint3d.contracts.models.artifacts.results import Protocol
 from inpaint3d.contracts.models.base import Closed, Digest, Finite
 from inpaint3d.contracts.models.canonical import digest_of
@@ -142,6 +143,17 @@ class AccuracyCourse(Closed):
     sentence: str
 
 
+class EffectFigures(Closed):
+    """A decision on an effect, and its cost, measured on the machine that decided with a field of standard size."""
+
+    effect: Effect
+    step_ratio: float | None = Field(default=None, description="CPU time of a training step over the plain field's")
+    step_cpu_ms: float | None = None
+    learnt_bytes: float | None = Field(
+        default=None, description="of what is learnt for it: parameters, gradients, the optimiser's moments"
+    )
+
+
 class RunReport(Closed):
     """`metrics.json`: metrics by protocol, and per stage time, memory, whether it was cached, and digests."""
 
@@ -153,5 +165,6 @@ class RunReport(Closed):
     doubts: tuple[str, ...] = Field(default=(), description="why the results cannot be right: node: reason")
     machine: Machine
     stages: tuple[StageFigures, ...]
+    effects: tuple[EffectFigures, ...] = Field(default=(), description="empty until scene-analysis has run")
     protocols: tuple[Protocol, ...] = Field(description="empty until evaluation has run")
     course: AccuracyCourse | None = Field(default=None, description="None where no stage scored a field")

@@ -73,8 +73,9 @@ def solve(config: Config, inputs: Inputs, ctx: Context, ranks: Ranks) -> tuple[P
 def pose(config: Config, inputs: Inputs, seed: int, device: str) -> tuple[Problem, dict[str, str]]:
     """What is to be optimised, and what was decided about it, in words."""
     posed = inputs.one("posed-capture", PosedCapture)
-    plan = inputs.one("effect-plan", EffectPlan).metadata
-    scene = load_masked_scene(posed, inputs.one("mask-set", MaskSet))
+    planned = inputs.one("effect-plan", EffectPlan)
+    plan = planned.metadata
+    scene = load_masked_scene(posed, inputs.one("mask-set", MaskSet), planned)
     initial = inputs.optional("initial-field", RadianceFieldArtifact) if config.start == "initial-field" else None
     if initial:
         spec = initial.metadata.spec

@@ -16,6 +16,7 @@ from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.sparse_point_metrics import measure_sparse_points
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed
+from inpaint3d.scene.evidence_masks import IgnoredPixels
 from inpaint3d.scene.plausibility import doubt_field, measure_baselines
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import Known, fit
@@ -25,7 +26,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """The stage. Inputs and output are the ports of stage.yaml."""
     torch.set_num_threads(ctx.threads)
     posed = inputs.one("posed-capture", PosedCapture)
-    plan = inputs.one("effect-plan", EffectPlan).metadata
+    plan = inputs.one("effect-plan", EffectPlan)
     views = load_posed(posed)
     train = [view for view in views if view.split == "train"]
     test = [view for view in views if view.split == "test"]
@@ -35,15 +36,15 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     points = load_points(posed.path(posed.metadata.points))
     spec = field_spec(
         config.architecture,
-        plan,
+        plan.metadata,
         views=len(train),
         centre_depth=posed.metadata.centre_depth,
         points=points.xyz,
     )
     field = RadianceField(spec, ctx.seed).to(ctx.device)
-    pixels = Pixels.of(
-        [view.camera for view in train], [view.image() for view in train], [view.valid() for view in train], ctx.device
-    )
+    ignored = IgnoredPixels(plan)
+    known = [ignored.take_from(view.valid(), view.name, view.camera) for view in train]
+    pixels = Pixels.of([view.camera for view in train], [view.image() for view in train], known, ctx.device)
     if not len(pixels):
         raise BadInputError("no pixel of the training views is valid; re-run pose-estimation")
     seen_by_training = np.array([view.split == "train" for view in views])[points.track_frame]
@@ -51,8 +52,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     if seen_by_training.any():
         sight_lines = SightLines.of([view.camera for view in views], points, seen_by_training, ctx.device)
     scored = HeldOut.on_lattice(map(KnownPhoto.of, test[: config.score_views]), config.score_side, ctx.device)
-    known = Known(pixels, sight_lines, [(view.name, view.camera) for view in train])
-    curve = fit(field, known, scored, config, ctx)
+    shown = Known(pixels, sight_lines, [(view.name, view.camera) for view in train])
+    curve = fit(field, shown, scored, config, ctx)
 
     folder = outputs.folder("radiance-field")
     save_field(folder / "weights.safetensors", field)
@@ -64,7 +65,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     depth_error, floaters = (None, None) if agrees is None else (agrees.depth_error, agrees.floaters)
     for doubt in doubt_field(psnr, measure_baselines(train, test, points), depth_error, floaters):
         ctx.doubt(doubt)
-    shown = write_views(
+    pictures = write_views(
         folder,
         field,
         [(view.name, view.camera) for view in views],
@@ -75,7 +76,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     metadata = RadianceFieldArtifact(
         label="pretrained",
         spec=spec,
-        views=shown,
+        views=pictures,
         steps=config.steps,
         seed=ctx.seed,
         backend=backends.name_of(field.backend),

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from inpaint3d.contracts.models.base import Closed, Finite, Positive, Share
 
@@ -39,6 +39,9 @@ class Config(Closed):
     )
     lens: Literal["auto", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
         default="auto", description="camera model to estimate; auto: the simplest that the reprojection errors support"
+    )
+    force: dict[Literal["lens-distortion"], bool] = Field(
+        default={}, description="lens-distortion switched on or off by hand; with `lens` at auto"
     )
     feature_longest_side: Annotated[int, Field(ge=64)] = Field(
         default=640, description="pixels; pictures are reduced to this before features are looked for"
@@ -83,3 +86,10 @@ class Config(Closed):
     largest_error_px: Positive = Field(
         default=4.0, description="pixels at the captured size per 1000 of its longest side; mean reprojection error"
     )
+
+    @model_validator(mode="after")
+    def _check_force(self) -> "Config":
+        if self.force and (self.lens != "auto" or self.cameras == "known"):
+            what = f"lens={self.lens}" if self.lens != "auto" else "cameras=known"
+            raise ValueError(f"lens-distortion is forced and {what} decides it too; leave one out")
+        return self

@@ -1,10 +1,15 @@
 """Which lens model the capture supports: the simplest whose reprojection error is near the richest one's."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pycolmap
 
+from inpaint3d.contracts.models.artifacts import Effect
+from inpaint3d.scene.effects import lens_distortion
+from inpaint3d.scene.effects.description import decide
 from inpaint3d.stages.pose_estimation.features import silence_pycolmap
 
 # Principal points are estimated with the richer models only: alone they trade off against the poses.
@@ -28,18 +33,60 @@ class Trial:
     def label(self) -> str:
         return f"{self.lens} {'with' if self.centre else 'without'} principal point"
 
+    @property
+    def described(self) -> lens_distortion.LensTrial:
+        """As the effect compares it."""
+        corner = max(measure_corner(camera) for camera in self.model.cameras.values())
+        return lens_distortion.LensTrial(self.label, EXTRA[self.lens] + 2 * self.centre, self.error_px, corner)
 
-def choose_lens(model: pycolmap.Reconstruction, lens: str) -> tuple[pycolmap.Reconstruction, str]:
-    """The model adjusted with the chosen lens, and the evidence in words. `lens`: a name, or "auto"."""
-    candidates = CANDIDATES if lens == "auto" else ((lens, lens != "PINHOLE"),)
+
+@dataclass(frozen=True)
+class Choice:
+    """The model adjusted with the chosen lens, why in words, and the decision on whether it bends pictures."""
+
+    model: pycolmap.Reconstruction
+    why: str
+    effect: Effect
+
+
+def choose_lens(model: pycolmap.Reconstruction, lens: str, forced: Mapping[Literal["lens-distortion"], bool]) -> Choice:
+    """A pinhole, unless a lens that bends is worth it; of those the simplest within ENOUGH of the best error.
+
+    lens: a name, or "auto". forced: lens-distortion, where somebody decided it.
+    """
+    by_hand: dict[str, bool] = dict(forced)
+    candidates = CANDIDATES
+    if lens != "auto":
+        by_hand["lens-distortion"] = lens != "PINHOLE"
+        candidates = (CANDIDATES[0],) if lens == "PINHOLE" else (CANDIDATES[0], (lens, True))
     trials = [adjust_copy(model, name, centre) for name, centre in candidates]
-    best = min(t.error_px for t in trials)
-    chosen = next(t for t in trials if t.error_px <= best * (1 + ENOUGH))
+    pinhole, bent = trials[0], trials[1:] or trials
+    best = min(t.error_px for t in bent)
+    simplest = next(t for t in bent if t.error_px <= best * (1 + ENOUGH))
+    # Matches of one point share its error: points are what is independent, each with two coordinates.
+    found = lens_distortion.measure(pinhole.described, simplest.described, 2.0 * len(model.points3D))
+    effect = decide(lens_distortion.EFFECT, found, by_hand)
+    chosen = simplest if effect.active else pinhole
     measured = "; ".join(f"{t.label} {t.error_px:.3f} px" for t in trials)
-    why = (
-        f"the simplest within {ENOUGH:.0%} of the best error" if lens == "auto" else "asked for by the parameter `lens`"
+    why = "asked for by the parameter `lens`" if lens != "auto" else explain(effect.active)
+    return Choice(chosen.model, f"{chosen.label}: {why} ({measured})", effect)
+
+
+def describe_given(cameras: Iterable[pycolmap.Camera]) -> Effect:
+    """The same of lenses that came with the capture: nothing is to be decided."""
+    corner = max(measure_corner(camera) for camera in cameras)
+    return Effect(
+        name=lens_distortion.EFFECT.name,
+        state="on" if corner > 0 else "off",
+        evidence={"corner_px": corner},
+        reason=f"came with the capture; moves the picture's corner by {corner:.2f} px",
+        simulated_by=lens_distortion.EFFECT.simulated_by,
     )
-    return chosen.model, f"{chosen.label}: {why} ({measured})"
+
+
+def explain(bends: bool) -> str:
+    """Why a lens was chosen, in words."""
+    return f"the simplest within {ENOUGH:.0%} of the best error" if bends else "no lens that bends is worth it"
 
 
 def adjust_copy(model: pycolmap.Reconstruction, lens: str, centre: bool) -> Trial:
@@ -59,6 +106,15 @@ def adjust_copy(model: pycolmap.Reconstruction, lens: str, centre: bool) -> Tria
     silence_pycolmap()  # the call above sets the log level back
     copy.update_point_3d_errors()
     return Trial(lens, centre, copy, root_mean_square(copy))
+
+
+def measure_corner(camera: pycolmap.Camera) -> float:
+    """How far a lens moves the picture's corners against its pinhole, the largest of the four; pixels as captured."""
+    corners = np.array([(x, y) for x in (0, camera.width) for y in (0, camera.height)], np.float64)
+    middle = (camera.principal_point_x, camera.principal_point_y)
+    plane = (corners - middle) / (camera.focal_length_x, camera.focal_length_y)
+    bent = np.asarray(camera.img_from_cam(np.concatenate([plane, np.ones((4, 1))], 1)))
+    return float(np.linalg.norm(bent - corners, axis=1).max())
 
 
 def convert(camera: pycolmap.Camera, lens: str) -> None:

@@ -91,6 +91,7 @@ def write_capture(
             frames=tuple(frames),
             ordered=capture.metadata.ordered,
             lens=usual,
+            lens_effect=solved.lens_effect,
             registration=solved.registration,
             source_from_normalised_scale=back.scale,
             scale=None

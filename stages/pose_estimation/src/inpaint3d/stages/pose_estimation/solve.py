@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 import pycolmap
 
-from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.kit.context import Context
-from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, Registration, Truth
+from inpaint3d.contracts.models.artifacts import Capture, CapturedFrame, Effect, Registration, Truth
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.geometry import Similarity
 from inpaint3d.stages.pose_estimation import features, gate, known, lens, mapping
@@ -36,6 +36,7 @@ class Solved:
     model: Model
     source: Literal["estimated", "known"]
     lens_evidence: str
+    lens_effect: Effect
     evidence: gate.Evidence
     agreement: Agreement
     database: Path
@@ -107,6 +108,10 @@ def look_harder(config: Config, frames: int) -> Config:
 
 
 def _solve_known(capture: Artifact[Capture], config: Config, ctx: Context) -> Solved:
+    if config.force:
+        raise ConfigurationError(
+            "lens-distortion cannot be switched: the lens came with the capture; set pose-estimation.cameras=estimate"
+        )
     groups, lenses = known.group_by_lens(capture.metadata.frames)
     matched = _match_pictures(capture, groups, lenses, config, ctx, ctx.work)
     frames, other = known.choose_order(matched.frames, matched.pairs, config, ctx)
@@ -118,7 +123,8 @@ def _solve_known(capture: Artifact[Capture], config: Config, ctx: Context) -> So
     model = from_reconstruction(found, matched.order)
     evidence = _collect_evidence(model, [len(frames)], matched)
     gate.check_known(evidence, config)
-    return _conclude(model, "known", "came with the capture", evidence, matched, config, local, other_order=other)
+    decided = "came with the capture", lens.describe_given(lenses.values())
+    return _conclude(model, "known", decided, evidence, matched, config, local, other_order=other)
 
 
 def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Path, *, guided: bool = False) -> Solved:
@@ -130,11 +136,11 @@ def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Pa
         gate.check_estimated(_collect_evidence(None, result.sizes, matched), config)
         raise BadInputError("no model could be made of the photos; take more that overlap")
     ctx.progress(len(matched.order), len(matched.order), "lens")
-    chosen, why = lens.choose_lens(result.model, config.lens)
-    model = from_reconstruction(chosen, matched.order)
+    choice = lens.choose_lens(result.model, config.lens, config.force)
+    model = from_reconstruction(choice.model, matched.order)
     evidence = _collect_evidence(model, result.sizes, matched)
     gate.check_estimated(evidence, config)
-    solved = _conclude(model, "estimated", why, evidence, matched, config)
+    solved = _conclude(model, "estimated", (choice.why, choice.effect), evidence, matched, config)
     gate.check_found(solved.agreement, config)
     frame_of = {link: name for name, link in matched.links.items()}
     gate.check_spread(model.centres, [frame_of[link] for link in model.names])
@@ -144,7 +150,7 @@ def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Pa
 def _conclude(
     model: Model,
     source: Literal["estimated", "known"],
-    why: str,
+    decided: tuple[str, Effect],
     evidence: gate.Evidence,
     matched: Matched,
     config: Config,
@@ -156,7 +162,16 @@ def _conclude(
     cameras = Cameras([model.lenses[n] for n in model.view_lens], list(model.world_from_cam))
     agreement = measure_agreement(pairs, cameras, known.tolerance(config))
     return Solved(
-        model, source, why, evidence, agreement, matched.database, matched.folder, matched.links, local, other_order
+        model,
+        source,
+        *decided,
+        evidence,
+        agreement,
+        matched.database,
+        matched.folder,
+        matched.links,
+        local,
+        other_order,
     )
 
 

@@ -1,36 +1,40 @@
-"""Parameters of scene analysis: thresholds, and decisions taken out of its hands."""
+"""Parameters of scene analysis: decisions taken out of its hands, and whether costs are measured."""
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, WithJsonSchema
 
-from inpaint3d.contracts.models.artifacts.effects import EffectName
-from inpaint3d.contracts.models.base import Closed, Positive, Share
+from inpaint3d.contracts.models.base import Closed
+from inpaint3d.scene.effects import decided_in, load
+
+NAMES = decided_in("scene-analysis")
+
+
+def _check_forced(forced: dict[str, bool]) -> dict[str, bool]:
+    for name, on in forced.items():
+        if name not in NAMES:
+            raise ValueError(f"no effect {name} is decided here; there are {', '.join(NAMES)}")
+        if on and load(name).EFFECT.simulated_by is None:
+            raise ValueError(f"{name} cannot be switched on: it is noticed, and no code simulates it (docs/effects.md)")
+    return forced
+
+
+Forced = Annotated[
+    dict[str, bool],
+    AfterValidator(_check_forced),
+    WithJsonSchema(
+        {"type": "object", "propertyNames": {"enum": list(NAMES)}, "additionalProperties": {"type": "boolean"}}
+    ),
+]
 
 
 class Config(Closed):
-    """When an effect is worth its cost. `force` overrules what is measured; the plan then says so."""
+    """What overrules what is measured. An effect's thresholds lie in its module below `scene/effects`."""
 
-    force: dict[EffectName, bool] = Field(
+    force: Forced = Field(
         default={}, description="effects switched on or off by hand, e.g. {exposure: on, view-dependence: off}"
     )
-    far_radius: Positive = Field(
-        default=2.5, description="scene units from the point of interest; what lies beyond is background"
-    )
-    far_share: Share = Field(
-        default=0.02, description="contraction is on where more than this share of the sparse points is background"
-    )
-    distortion_px: Positive = Field(
-        default=0.5, description="lens distortion is on where it moves the picture's corner by more pixels"
-    )
-    exposure_ev: Positive = Field(
-        default=0.1, description="exposure is on where views differ by more (EV, 10 to 90 % of the views)"
-    )
-    view_dependence_ev: Positive = Field(
-        default=0.08,
-        description="view dependence is on where one pair of observations of a point in five differs in brightness by "
-        "more (EV) between far apart directions than between near ones",
-    )
-    min_tracks: Annotated[int, Field(ge=1)] = Field(
-        default=50, description="points with usable colours; below, colours decide nothing"
+    probe_steps: Annotated[int, Field(ge=0)] = Field(
+        default=6,
+        description="steps of a field that the time of each effect is measured over; 0: costs are not measured",
     )

@@ -36,7 +36,9 @@ Views = tuple[MaskedView, ...]
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """The stage. Inputs and output are the ports of stage.yaml; nothing under a mask is ever looked at."""
     torch.set_num_threads(ctx.threads)
-    scene = load_masked_scene(inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet))
+    plan = inputs.one("effect-plan", EffectPlan)
+    posed, masks = inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet)
+    scene = load_masked_scene(posed, masks, plan, whole_frames=False)
     field = inputs.one("radiance-field", RadianceFieldArtifact)
     if not find_fillable(scene.train):
         raise BadInputError(

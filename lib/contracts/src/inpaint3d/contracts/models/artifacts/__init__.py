@@ -12,7 +12,7 @@ from inpaint3d.contracts.models.artifacts.completion import (
     PaintedViews,
     Painting,
 )
-from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan
+from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan, IgnoredFrame, Interval
 from inpaint3d.contracts.models.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
 from inpaint3d.contracts.models.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
 from inpaint3d.contracts.models.artifacts.mask_sets import MaskSet, MaskView, NamedMask, Primitive, ViewOrder
@@ -70,7 +70,9 @@ __all__ = [
     "FieldSpec",
     "FieldView",
     "GridSpec",
+    "IgnoredFrame",
     "ImageCorpus",
+    "Interval",
     "KnownCamera",
     "LensModel",
     "MaskRequest",

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from inpaint3d.contracts.models.artifacts.effects import Effect
 from inpaint3d.contracts.models.base import Closed, Finite, FrameName, Pose, Positive, RelativePath, Share, Vector3
 
 
@@ -76,6 +77,9 @@ class PosedCapture(Closed):
     ordered: bool
     points: RelativePath = "points.safetensors"
     lens: LensModel
+    lens_effect: Effect | None = Field(
+        default=None, description="whether the lens bends the pictures, decided where it was estimated"
+    )
     registration: Registration
     source_from_normalised_scale: Positive = Field(description="length of one scene unit in the source's units")
     scale: MetricScale | None = Field(default=None, description="of the normalised world; None: nothing tells")

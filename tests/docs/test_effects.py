@@ -1,0 +1,66 @@
+"""docs/effects.md is what the effects' modules say; `python -m tests.docs.test_effects` writes its tables anew."""
+
+import importlib
+import re
+from pathlib import Path
+
+from inpaint3d.scene.effects import DECIDED_IN, load
+from inpaint3d.scene.effects.description import Description
+
+PAGE = Path(__file__).parents[2] / "docs/effects.md"
+HEAD = ["| effect | evidence | off means | on beyond | decided in |", "|---|---|---|---|---|"]
+
+
+def build_parts() -> dict[str, str]:
+    """Marker -> what belongs between it and its end."""
+    found = [load(name).EFFECT for name in DECIDED_IN]
+    rows = [write_row(effect) for effect in found if effect.simulated_by is not None]
+    noticed = [f"- `{e.name}`: {e.what}. Noticed by: {e.evidence}." for e in found if e.simulated_by is None]
+    return {
+        "effects": "\n" + "\n".join([*HEAD, *rows]) + "\n",
+        "not-modelled": "\n" + "\n".join(["Noticed, and not simulated:", "", *noticed]) + "\n",
+    }
+
+
+def write_row(effect: Description) -> str:
+    """A row of the table."""
+    beyond = f"{effect.material:g} {effect.unit}" if effect.unit else f"by `{effect.parameter}`"
+    if effect.least_gain:
+        beyond += f"; {effect.least_gain:.0%} explained"
+    what = f"`{effect.name}`: {effect.what}"
+    return f"| {what} | {effect.evidence} | {effect.off_means} | {beyond} | {DECIDED_IN[effect.name]} |"
+
+
+def fill_in(text: str) -> str:
+    for name, part in build_parts().items():
+        text = re.sub(rf"(<!-- {name} -->).*?(<!-- /{name} -->)", lambda m, p=part: m[1] + p + m[2], text, flags=re.S)
+    return text
+
+
+def test_the_page_is_what_the_modules_say():
+    assert PAGE.read_text() == fill_in(PAGE.read_text()), "run `python -m tests.docs.test_effects`"
+
+
+def test_what_simulates_an_effect_is_there():
+    for name in DECIDED_IN:
+        if (dotted := load(name).EFFECT.simulated_by) is not None:
+            module, _, attribute = dotted.rpartition(".")
+            if attribute[0].islower() and module.rpartition(".")[2][0].isupper():
+                module, _, owner = module.rpartition(".")
+                source = Path(importlib.import_module(module).__file__ or "").read_text()
+                assert f"class {owner}" in source
+                assert re.search(rf"\b{attribute}\b", source), dotted
+            else:
+                assert hasattr(importlib.import_module(module), attribute), dotted
+
+
+def test_every_effect_that_code_asks_for_is_an_effect():
+    """`active("NAME")` of a name that there is not would be off for ever, in silence."""
+    sources = [p for f in ("lib", "stages") for p in (PAGE.parents[1] / f).rglob("*/src/**/*.py")]
+    asked = {name for path in sources for name in re.findall(r"\.active\(\"([a-z-]+)\"\)", path.read_text())}
+    assert asked
+    assert asked <= set(DECIDED_IN)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(fill_in(PAGE.read_text()))
