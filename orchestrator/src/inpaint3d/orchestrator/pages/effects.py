@@ -20,7 +20,7 @@ class EffectRow:
 
 def describe_effects(found: Sequence[EffectFigures]) -> list[EffectRow]:
     """What is simulated first, then what is not."""
-    rows = [
+    return [
         EffectRow(
             name=figures.effect.name.replace("-", " "),
             state=figures.effect.state,
@@ -30,7 +30,6 @@ def describe_effects(found: Sequence[EffectFigures]) -> list[EffectRow]:
         )
         for figures in sorted(found, key=lambda figures: not figures.effect.active)
     ]
-    return rows
 
 
 def _describe_evidence(effect: Effect) -> str:
