@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint bench-masks bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
+.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint study accuracy-and-time bench-masks bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -132,6 +132,15 @@ bench-masks: .venv/.installed ## objects pointed at with a few clicks against kn
 
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
+
+study: .venv/.installed ## more points of what accuracy costs, going on where it stopped; hours [POINTS=60] [STATUE=FOLDER] [BEAR=FOLDER BEAR_MASK=FILE]
+	.venv/bin/inpaint3d study examples/demo/capture --mask examples/demo/mask.yaml --points $(or $(POINTS),60) --out benchmarks/results/study/demo
+	$(if $(STATUE),.venv/bin/inpaint3d study $(STATUE) --points $(or $(POINTS),60) --out benchmarks/results/study/statue)
+	$(if $(BEAR),.venv/bin/inpaint3d study $(BEAR) --mask $(BEAR_MASK) --points $(or $(POINTS),60) --out benchmarks/results/study/bear)
+	$(MAKE) --no-print-directory accuracy-and-time
+
+accuracy-and-time: .venv/.installed ## docs/accuracy-and-time.md and its plots from the studies' results
+	.venv/bin/python -m benchmarks.accuracy_and_time
 
 # The peers live in environments of their own.
 PEERS := .cache/peers

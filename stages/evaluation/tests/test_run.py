@@ -185,7 +185,7 @@ def test_crops_of_another_growth_have_another_name(store, scene, inputs):
     wired = inputs | {"radiance-fields": [field(store, "a")], "posed-truth": truth(store, scene)}
     names = [
         evaluated(store, wired, perceptual=False, **parameters)[1].protocols[0].name
-        for parameters in ({"box_growth": 0.25}, {"box_protocol": "spin-nerf"})
+        for parameters in ({"box_growth": 0.25}, {"box_protocol": "spin-nerf", "render_longest_side": 1008})
     ]
     assert names == ["bbox25-vgg", "spin-nerf"]
 

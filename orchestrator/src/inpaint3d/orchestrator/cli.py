@@ -29,6 +29,7 @@ from inpaint3d.orchestrator.intake import list_scenes, name_run
 from inpaint3d.orchestrator.options import (
     AcceptDoubtful,
     AsJson,
+    Budget,
     Capture,
     Engine,
     Environment,
@@ -112,6 +113,7 @@ def run(
     selection: Selection,
     environment: Environment,
     places: Places,
+    budget: Budget,
     name: Name = None,
     scene: Scene = None,
     engine: Engine = None,
@@ -121,6 +123,38 @@ def run(
     accept_doubtful: AcceptDoubtful = False,
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
+
+    def run_once(asked: SceneRequest, chosen: Selection) -> int:
+        return _run_scenes(
+            capture, asked, chosen, environment, places, name=name, scene=scene, engine=engine, log_format=log_format,
+            wait=wait, replace=replace, accept_doubtful=accept_doubtful,
+        )  # fmt: skip
+
+    if budget.is_set:
+        from inpaint3d.orchestrator.budget.run import run_within
+
+        if scene or selection != Selection():
+            raise ConfigurationError("a budget is for one whole scene; leave out --scene, --only, --from and --until")
+        raise typer.Exit(run_within(budget, request, places.runs_dir / name_run(capture, name), run_once))
+    raise typer.Exit(run_once(request, selection))
+
+
+def _run_scenes(
+    capture: Path,
+    request: SceneRequest,
+    selection: Selection,
+    environment: Environment,
+    places: Places,
+    *,
+    name: str | None,
+    scene: list[str] | None,
+    engine: str | None,
+    log_format: str,
+    wait: bool,
+    replace: bool,
+    accept_doubtful: bool,
+) -> int:
+    """Run every scene that is asked for; the gravest exit code."""
     scenes = list_scenes(capture, scene, name)
     folders = [places.runs_dir / name_run(path, scene_name) for path, scene_name in scenes]
     requests = [ConfiguredRequest(use_saved(request, folder), selection) for folder in folders]
@@ -137,7 +171,7 @@ def run(
         codes.append(code)
         if record.status == "stopped":
             break  # whoever stopped this scene meant the others too
-    raise typer.Exit(max(codes))
+    return max(codes)
 
 
 @app.command("evaluate-dataset")

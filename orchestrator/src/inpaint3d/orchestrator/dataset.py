@@ -7,8 +7,20 @@ from typing import Any
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 
-PROTOCOL = "bbox10-vgg"
+PROTOCOLS = ("spin-nerf", "bbox10-vgg")
 METRICS = ("psnr", "ssim", "lpips_vgg", "fd_lite0", "fid")
+
+
+@dataclass(frozen=True)
+class Published:
+    """Somebody else's row: its figures, how they were measured, and where they were read.
+
+    Figures under another protocol than ours, or that went through other hands, are no comparison.
+    """
+
+    figures: dict[str, float]
+    protocol: str
+    source: str
 
 
 @dataclass(frozen=True)
@@ -17,17 +29,28 @@ class Dataset:
 
     preset: str
     marks: tuple[str, ...]
-    published: dict[str, dict[str, float]]
+    published: dict[str, Published]
 
 
 DATASETS = {
-    # Inpaint3D, table 1. Its FID is over Inception features: no figure of ours stands beside it.
+    # FID is over Inception features: no figure of ours stands beside it.
     "spin-nerf": Dataset(
         preset="spin-nerf",
         marks=("images_4", "poses_bounds.npy"),
         published={
-            "SPIn-NeRF (published)": {"psnr": 17.40, "ssim": 0.351, "lpips_vgg": 0.540, "fid": 194.67},
-            "Inpaint3D (published)": {"psnr": 17.37, "ssim": 0.463, "lpips_vgg": 0.515, "fid": 226.04},
+            "SPIn-NeRF (published)": Published(
+                {"psnr": 17.40, "ssim": 0.351, "lpips_vgg": 0.540, "fid": 194.67},
+                "spin-nerf: the mask's box grown by 10 %",
+                "second-hand: as measured by the authors of Inpaint3D, their table 1",
+            ),
+            "Inpaint3D (published)": Published(
+                {"psnr": 17.37, "ssim": 0.463, "lpips_vgg": 0.515, "fid": 226.04},
+                "spin-nerf: the mask's box grown by 10 %",
+                "Inpaint3D, table 1",
+            ),
+            "InstaInpaint (published)": Published(
+                {"fid": 84.535}, "unknown", "third-hand: a summary of arXiv:2506.10980 by others; crop not stated there"
+            ),
         },
     )
 }
@@ -64,7 +87,7 @@ def find_scenes(dataset: Dataset, folder: Path, chosen: list[str] | None) -> lis
 def read_figures(name: str, report: dict[str, Any]) -> SceneScore:
     """The result's figures in a run's metrics.json: the method that stands first."""
     for protocol in report["protocols"]:
-        if protocol["name"] == PROTOCOL and protocol["metrics"]:
+        if protocol["name"] in PROTOCOLS and protocol["metrics"]:
             method = protocol["metrics"][0]["method"]
             own = [m for m in protocol["metrics"] if m["method"] == method]
             figures = {m["name"]: float(m["value"]) for m in own if m["name"] in METRICS}
@@ -87,5 +110,8 @@ def tabulate(dataset: Dataset, scores: list[SceneScore]) -> dict[str, Any]:
             for s in scores
         ],
         "mean": {"name": f"mean of {len(scored)} of {len(scores)} scenes", "figures": means},
-        "published": [{"name": name, "figures": figures} for name, figures in dataset.published.items()],
+        "published": [
+            {"name": name, "figures": row.figures, "protocol": row.protocol, "source": row.source}
+            for name, row in dataset.published.items()
+        ],
     }

@@ -73,6 +73,16 @@ Want = Annotated[
 Painted = Annotated[
     Path | None, typer.Option(help="folder that `inpaint3d paint ask` wrote, painted in: what is made up, by hand")
 ]
+TimeBudget = Annotated[
+    str | None, typer.Option(metavar="TIME", help="what the stages after the cameras may take: 90s, 5m, 1h")
+]
+MemoryBudget = Annotated[str | None, typer.Option(metavar="SIZE", help="what a stage may hold at once: 800M, 4G")]
+TargetPsnr = Annotated[
+    float | None, typer.Option(help="dB in the hole; the cheapest point of the study that reached it is taken")
+]
+StudyPath = Annotated[
+    Path | None, typer.Option("--study", help="points.json of a study; default: the one that comes with the pipeline")
+]
 Wait = Annotated[bool, typer.Option("--wait", help="wait for another run of the same name to end")]
 Replace = Annotated[bool, typer.Option("--replace", help="take over a name whose last run was of another capture")]
 AcceptDoubtful = Annotated[
@@ -116,6 +126,20 @@ class SceneRequest(Request):
     compare: Compare = False
     painted: Painted = None
     want: Want = None
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a run may take, or what it is to reach; the settings follow from a study."""
+
+    time_budget: TimeBudget = None
+    memory_budget: MemoryBudget = None
+    target_psnr: TargetPsnr = None
+    study: StudyPath = None
+
+    @property
+    def is_set(self) -> bool:
+        return not (self.time_budget is None and self.memory_budget is None and self.target_psnr is None)
 
 
 @dataclass(frozen=True)

@@ -68,5 +68,7 @@ def show_scores(table: dict[str, Any]) -> None:
         views = "" if row.get("views") is None else str(row["views"])
         rows.append([row["name"], row.get("method") or "", views, *values])
     print_table(("scene", "method", "views", *table["metrics"]), rows, width=140)
+    for row in table["published"]:
+        sys.stdout.write(f"\n{printable(row['name'])}: {row['protocol']}; {row['source']}\n")
     for row in table["scenes"]:
         sys.stdout.write(f"\n{printable(row['name'])}: {row['protocol'] or 'failed; see above'}\n")

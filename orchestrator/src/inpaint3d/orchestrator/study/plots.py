@@ -54,10 +54,16 @@ def _read_memory(point: Point) -> float:
 
 def write_pages(results: StudyResults, folder: Path) -> None:
     """Every plot that has two points or more, and `table.md`."""
-    for plot in list_plots(results):
-        if len(_list_measured(results, plot)) > 1:
-            draw(results, plot, folder / plot.file)
+    draw_plots(results, folder)
     (folder / "table.md").write_text(tabulate(results))
+
+
+def draw_plots(results: StudyResults, folder: Path) -> list[Plot]:
+    """The plots that have two points or more, drawn into a folder."""
+    plots = [plot for plot in list_plots(results) if len(_list_measured(results, plot)) > 1]
+    for plot in plots:
+        draw(results, plot, folder / plot.file)
+    return plots
 
 
 def _list_measured(results: StudyResults, plot: Plot) -> list[Point]:
@@ -88,8 +94,11 @@ def draw(results: StudyResults, plot: Plot, path: Path) -> None:
         figure.savefig(path, format="svg", metadata={"Date": None})
 
 
-def tabulate(results: StudyResults) -> str:
-    """Markdown: what was measured on, every finished point by its time, and the command of each on the front."""
+def tabulate(results: StudyResults, pictures: str = "") -> str:
+    """Markdown: what was measured on, every finished point by its time, and the command of each on the front.
+
+    pictures: Markdown that stands before the table.
+    """
     front = find_front(results.measured, Point.sum_seconds, lambda p: p.figures["psnr"])
     counts = {s: sum(p.state == s for p in results.points) for s in ("done", "stopped-early", "failed")}
     machine = results.machine
@@ -98,6 +107,7 @@ def tabulate(results: StudyResults) -> str:
         + (f", {machine.processor}, {machine.cores} cores" if machine else "")
         + f"; {counts['done']} points measured, {counts['stopped-early']} stopped early, {counts['failed']} failed.",
         "",
+        *([pictures, ""] if pictures else []),
         "| point | on the front | CPU s after the cameras | wall s | peak MiB | PSNR | SSIM | LPIPS (VGG) | knobs |",
         "|---|---|---|---|---|---|---|---|---|",
     ]

@@ -1,11 +1,13 @@
 """Points of a study: what each was asked, what it cost, how it scored; and which of them nothing beats."""
 
 import json
+import shlex
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.base import Closed, Finite
@@ -23,6 +25,7 @@ class StageCost(Closed):
     cpu_s: Finite
     peak_memory_bytes: int
     held_out_psnr: Finite | None = None
+    steps_cpu_s: Finite | None = Field(default=None, description="of cpu_s, up to the last score of a fit")
 
 
 class Point(Closed):
@@ -53,6 +56,12 @@ class Point(Closed):
         return total
 
     @property
+    def assignments(self) -> list[str]:
+        """What the command sets."""
+        words = shlex.split(self.command)
+        return [value for option, value in pairwise(words) if option == "--set"]
+
+    @property
     def peak_memory_bytes(self) -> int:
         """The most that any stage held at once, those before the cameras and evaluation included."""
         return max(cost.peak_memory_bytes for cost in self.stages.values())
@@ -64,6 +73,9 @@ class StudyResults(Closed):
     capture: str
     protocol: str | None = None
     machine: Machine | None = None
+    probe_cpu_s: Finite | None = Field(
+        default=None, description="of the probe's fit, by which another machine and capture are compared with these"
+    )
     points: tuple[Point, ...] = ()
 
     @property

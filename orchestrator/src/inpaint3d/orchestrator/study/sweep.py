@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts import RadianceFieldArtifact
-from inpaint3d.contracts.models.report import RunReport
-from inpaint3d.contracts.store import open_store
+from inpaint3d.contracts.models.report import RunReport, StageFigures
+from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator.study.points import Point, StageCost, StudyResults, is_beaten, read_results
 from inpaint3d.orchestrator.study.space import Drawn, StudySpec, list_assignments
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
+
+PROBED = "nerf-pretraining"
+PROBE = tuple(f"{PROBED}.{p}" for p in ("steps=40", "view_side=16", "rays=512", "first_rays=512", "score_every=40"))
+"""A fit of a few seconds, by which a machine and a capture are compared with those of a study."""
 
 POINTS, JOURNAL = "points.json", "journal.log"
 FIELD = "radiance-field"
@@ -52,7 +56,10 @@ def sweep(spec: StudySpec, bed: Bed, count: int, seed: int) -> Iterator[Point]:
     Each point is written to `points.json` before the next is drawn. Raises ConfigurationError where Optuna is missing.
     """
     bed.out.mkdir(parents=True, exist_ok=True)
-    known = {p.name for p in bed.load_results().points}
+    results = bed.load_results()
+    if results.probe_cpu_s is None and not bed.stub:
+        results.model_copy(update={"probe_cpu_s": measure_probe(bed)}).write(bed.results_path)
+    known = {p.name for p in results.points}
     for preset in spec.presets:
         if preset not in known:
             yield measure(spec, bed, preset, preset, {})
@@ -79,6 +86,15 @@ def measure(spec: StudySpec, bed: Bed, name: str, preset: str, drawn: Drawn) -> 
         update["protocol"] = report.protocols[0].name
     results.model_copy(update=update).with_point(point).write(bed.results_path)
     return point
+
+
+def measure_probe(bed: Bed) -> float | None:
+    """CPU seconds of the probe's fit; None where it fails, which the first point will say too."""
+    words = [part for a in PROBE for part in ("--set", a)]
+    mask = ["--mask", str(bed.mask)] if bed.mask else []
+    command = ["inpaint3d", "run", str(bed.capture), *mask, *words, "--name", "study-probe", "--until", PROBED]
+    point = _run(bed, Point(name="probe", state="failed", preset="", command=shlex.join(command)), command)
+    return point.stages[PROBED].cpu_s if point.error is None else None
 
 
 def write_command(spec: StudySpec, bed: Bed, name: str, preset: str, drawn: Drawn) -> list[str]:
@@ -194,10 +210,18 @@ def _collect_costs(bed: Bed, report: RunReport) -> dict[str, StageCost]:
     for stage in report.stages:
         if stage.wall_s is None or stage.cpu_s is None:
             continue
-        psnr = None
+        psnr = steps_s = None
         if digest := stage.outputs.get(FIELD):
             psnr = store.open(digest, RadianceFieldArtifact).metadata.held_out_psnr
+            steps_s = _find_last_score(store, stage)
         costs[stage.node] = StageCost(
-            wall_s=stage.wall_s, cpu_s=stage.cpu_s, peak_memory_bytes=stage.peak_memory_bytes or 0, held_out_psnr=psnr
-        )
+            wall_s=stage.wall_s, cpu_s=stage.cpu_s, peak_memory_bytes=stage.peak_memory_bytes or 0,
+            held_out_psnr=psnr, steps_cpu_s=steps_s,
+        )  # fmt: skip
     return costs
+
+
+def _find_last_score(store: Store, stage: StageFigures) -> float | None:
+    found = None if stage.key is None else store.lookup(stage.key, verify=False)
+    rows: list[dict[str, Any]] = [] if found is None else found.timings.get("series", {}).get("learning_curve", [])
+    return rows[-1]["cpu_s"] if rows else None

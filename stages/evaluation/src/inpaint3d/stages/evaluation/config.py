@@ -53,6 +53,9 @@ class Config(Closed):
 
     @model_validator(mode="after")
     def _check_protocol(self) -> "Config":
-        if self.box_protocol == "spin-nerf" and self.box_growth != 0.1:
-            raise ValueError(f"box_growth {self.box_growth} is not spin-nerf's 0.1; leave it, or box_protocol")
+        if self.box_protocol == "spin-nerf" and (self.box_growth != 0.1 or self.render_longest_side < 1008):
+            raise ValueError(
+                f"spin-nerf is a box_growth of 0.1 at 1008 px, not {self.box_growth} at {self.render_longest_side} px; "
+                "set render_longest_side: 1008 (and pose-estimation's output_longest_side), or leave box_protocol"
+            )
         return self

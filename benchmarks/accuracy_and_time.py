@@ -1,0 +1,33 @@
+"""`docs/accuracy-and-time.md` and its plots from `benchmarks/results/study`: `make accuracy-and-time`."""
+
+from pathlib import Path
+
+from inpaint3d.orchestrator.study.plots import draw_plots, tabulate
+from inpaint3d.orchestrator.study.points import read_results
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+STUDIES = REPOSITORY / "benchmarks" / "results" / "study"
+PAGE = REPOSITORY / "docs" / "accuracy-and-time.md"
+PICTURES = PAGE.parent / "pictures" / "study"
+BEGIN, END = "<!-- study -->", "<!-- /study -->"
+
+
+def describe(path: Path) -> str:
+    """A study's section: what was measured, plots, every point and the commands of those that nothing beats."""
+    results = read_results(path)
+    folder = PICTURES / path.parent.name
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = draw_plots(results, folder)
+    pictures = "\n".join(f"![{p.title}]({(folder / p.file).relative_to(PAGE.parent)})" for p in drawn)
+    return f"## {path.parent.name}\n\n{tabulate(results, pictures)}"
+
+
+def main() -> None:
+    sections = [describe(path) for path in sorted(STUDIES.glob("*/points.json"))]
+    before, _, rest = PAGE.read_text().partition(BEGIN)
+    _, _, after = rest.partition(END)
+    PAGE.write_text(f"{before}{BEGIN}\n" + "\n".join(sections) + f"{END}{after}")
+
+
+if __name__ == "__main__":
+    main()
