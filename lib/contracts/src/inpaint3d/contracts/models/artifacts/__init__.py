@@ -27,7 +27,7 @@ from inpaint3d.contracts.models.artifacts.posed import (
     Registration,
 )
 from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
-from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, Protocol, UsdScene
+from inpaint3d.contracts.models.artifacts.results import Evaluation, MeshFidelity, Metric, Protocol, UsdScene
 from inpaint3d.contracts.models.base import Closed
 
 SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
@@ -77,6 +77,7 @@ __all__ = [
     "MaskRequestArtifact",
     "MaskSet",
     "MaskView",
+    "MeshFidelity",
     "Metric",
     "MetricScale",
     "NamedMask",
