@@ -4,14 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom
 
+from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.usd_export.layer import Content, Scene, write_layer
 from inpaint3d.stages.usd_export.mesh import Mesh
 from inpaint3d.stages.usd_export.package import ALIGNMENT, write_package
+from inpaint3d.stages.usd_export.soundness import BrokenStageError, refuse_broken
 from inpaint3d.stages.usd_export.validation import validate
 
 TRIANGLE = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.5]]), np.array([[0, 1, 2]]))
@@ -23,12 +26,15 @@ def camera(i: int = 0) -> Camera:
 
 
 def written(folder: Path, **changes) -> Path:
-    contents = [Content(name, TRIANGLE, UV, f"textures/{name}.png") for name in ("inpainted", "original")]
+    contents = [
+        Content(name, TRIANGLE, UV, f"textures/{name}.png", np.ones(1, np.float32))
+        for name in ("inpainted", "original")
+    ]
     for content in contents:
         write_png(folder / content.texture, np.full((8, 8, 3), 0.5, np.float32))
     values = {
         "contents": contents, "names": ["a b", "0ä"], "cameras": [camera(0), camera(1)],
-        "primitives": [], "hull": None, "metres_per_unit": 0.5,
+        "primitives": [], "hull": None, "points": synthetic_scene(points=5).points, "metres_per_unit": 0.5,
     } | changes  # fmt: skip
     write_layer(folder / "scene.usdc", Scene(**values))
     return folder / "scene.usdc"
@@ -78,12 +84,109 @@ def test_stage_says_what_a_production_asks(folder):
     assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.5
     assert stage.GetRootLayer().customLayerData == {"inpaint3d:scale": "known"}
+    model = Usd.ModelAPI(stage.GetDefaultPrim())
+    assert (model.GetAssetName(), model.GetAssetVersion()) == ("scene", "0.1.0")
     variants = stage.GetDefaultPrim().GetVariantSet("content")
     assert (variants.GetVariantNames(), variants.GetVariantSelection()) == (["inpainted", "original"], "inpainted")
     texture = stage.GetPrimAtPath("/Scene/Surface/Material/Texture").GetAttribute("inputs:file")
     assert texture.Get().path == "textures/inpainted.png"
     variants.SetVariantSelection("original")
     assert texture.Get().path == "textures/original.png"
+
+
+def test_the_mesh_has_unit_normals_and_says_what_was_filled(folder):
+    stage = Usd.Stage.Open(str(written(folder)))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface"))
+    normals = np.array(mesh.GetNormalsAttr().Get())
+    np.testing.assert_allclose(normals, TRIANGLE.normals().repeat(3, 0), atol=1e-6)
+    assert mesh.GetNormalsInterpolation() == "vertex"
+    assert list(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("inpainted").Get()) == [1.0]
+    (subset,) = UsdGeom.Subset.GetAllGeomSubsets(mesh)
+    assert (subset.GetPrim().GetName(), list(subset.GetIndicesAttr().Get())) == ("Inpainted", [0])
+
+
+def test_provenance_is_in_the_layer(folder):
+    layer = written(folder, provenance={"posed-capture": "sha256:ab", "up": "gravity"})
+    stage = Usd.Stage.Open(str(layer))
+    told = stage.GetRootLayer().customLayerData
+    assert (told["inpaint3d:posed-capture"], told["inpaint3d:up"]) == ("sha256:ab", "gravity")
+
+
+def test_sparse_points_and_cameras_are_guides(folder):
+    stage = Usd.Stage.Open(str(written(folder)))
+    points = UsdGeom.Points(stage.GetPrimAtPath("/Scene/SparsePoints"))
+    assert len(points.GetPointsAttr().Get()) == len(points.GetDisplayColorAttr().Get()) == 5
+    for path in ("/Scene/SparsePoints", "/Scene/Cameras/Walk", "/Scene/Cameras/Views/View_0000"):
+        assert UsdGeom.Imageable(stage.GetPrimAtPath(path)).ComputePurpose() == UsdGeom.Tokens.guide
+
+
+@pytest.mark.parametrize("metres_per_unit", [None, 0.01, 0.5, 1.0])
+def test_a_50_mm_lens_reads_as_one_in_any_units(folder, metres_per_unit):
+    """Tools take USD's lenses for tenths of a scene unit: in millimetres, times 100 by the stage's metres."""
+    lens = Camera(50 / 36 * 640, 50 / 36 * 640, 320, 240, 640, 480, camera().world_from_cam)
+    stage = Usd.Stage.Open(str(written(folder, cameras=[lens, lens], metres_per_unit=metres_per_unit)))
+    prim = UsdGeom.Camera(stage.GetPrimAtPath("/Scene/Cameras/Views/View_0000"))
+    to_mm = 100 * UsdGeom.GetStageMetersPerUnit(stage)
+    assert prim.GetFocalLengthAttr().Get() * to_mm == pytest.approx(50)
+    assert prim.GetHorizontalApertureAttr().Get() * to_mm == pytest.approx(36)
+    assert prim.GetVerticalApertureAttr().Get() * to_mm == pytest.approx(27)
+
+
+def broken(folder: Path, change) -> None:
+    written(folder)
+    stage = Usd.Stage.Open(str(folder / "scene.usdc"))
+    variants = stage.GetDefaultPrim().GetVariantSet("content")
+    variants.SetVariantSelection("original")  # not the one that shows
+    with variants.GetVariantEditContext():
+        change(stage)
+    variants.SetVariantSelection("inpainted")
+    stage.GetRootLayer().Save()
+    refuse_broken(folder, ["scene.usdc"])
+
+
+def set_texture(path: str):
+    def change(stage: Usd.Stage) -> None:
+        stage.GetPrimAtPath("/Scene/Surface/Material/Texture").GetAttribute("inputs:file").Set(Sdf.AssetPath(path))
+
+    return change
+
+
+def test_a_stage_with_nan_is_refused(folder):
+    def change(stage: Usd.Stage) -> None:
+        points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetPointsAttr().Get())
+        points[1, 2] = np.nan
+        UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetPointsAttr().Set(points)
+
+    with pytest.raises(NonFiniteError, match=r"original.*/Scene/Surface.points: 1 numbers are not finite"):
+        broken(folder, change)
+
+
+def test_a_stage_with_a_wrong_extent_is_refused(folder):
+    def change(stage: Usd.Stage) -> None:
+        UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetExtentAttr().Set([(0, 0, 0), (9, 9, 9)])
+
+    with pytest.raises(BrokenStageError, match="the extent is"):
+        broken(folder, change)
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("textures/nowhere.png", "there is no file textures/nowhere.png"),
+        ("/etc/hostname", "leads out of the scene's folder"),
+        ("../other.png", "leads out of the scene's folder"),
+        ("https://example.org/a.png", "leads out of the scene's folder"),
+    ],
+)
+def test_a_texture_that_is_missing_or_elsewhere_is_refused(folder, path, said):
+    with pytest.raises(BrokenStageError, match=said):
+        broken(folder, set_texture(path))
+
+
+def test_a_sound_stage_and_its_package_are_not_refused(folder):
+    written(folder)
+    packed(folder)
+    refuse_broken(folder, ["scene.usdc", "scene.usdz"])
 
 
 def test_a_cameras_pixels_are_where_ours_are(folder):

@@ -12,28 +12,26 @@ Count = Annotated[int, Field(ge=1)]
 class Config(Closed):
     """How finely the scene is meshed and textured."""
 
-    views: Annotated[int, Field(ge=2)] = Field(
-        default=32, description="views whose depth is fused and whose colour is baked, spread evenly"
-    )
+    views: Annotated[int, Field(ge=2)] = Field(default=32, description="views whose depth is fused, spread evenly")
     render_longest_side: Count = Field(
-        default=160,
-        description="pixels; renders stored with a field are used where they are at least this big",
+        default=128,
+        description="pixels of the views' depth; renders stored with a field are used where they are at least this big",
     )
-    grid: Annotated[int, Field(ge=8, le=512)] = Field(
-        default=144, description="cells along the longest side of the volume"
+    grid: Annotated[int, Field(ge=8, le=768)] = Field(
+        default=256, description="cells along the longest side of the volume, in contracted space"
     )
     truncation_cells: Annotated[float, Field(ge=1, le=20)] = Field(
         default=3.0, description="distance at which the fused distance is cut, in cells"
     )
-    reach: Positive = Field(default=2.5, description="scene units; nothing farther than this from the origin is meshed")
-    opaque: Share = Field(default=0.5, description="pixels of a lower opacity have no surface")
+    opaque: Share = Field(default=0.5, description="pixels of a lower opacity see the dome behind everything")
     smallest_piece: Share = Field(
-        default=0.005, description="connected pieces with a smaller share of the triangles are dropped as floaters"
+        default=0.002, description="connected pieces with a smaller share of the triangles are dropped as floaters"
     )
-    texture_size: Annotated[int, Field(ge=64, le=8192)] = Field(
-        default=2048, description="texels; side of a texture, at most"
+    triangles: Annotated[int, Field(ge=4)] = Field(default=30_000, description="the mesh is decimated to about so many")
+    texture_size: Annotated[int, Field(ge=64, le=8192)] = Field(default=2048, description="texels; side of a texture")
+    pictures: Count = Field(
+        default=32, description="training views whose pictures the texture is made of, spread evenly"
     )
-    texture_views: Count = Field(default=3, description="views that are blended on one triangle")
     original: bool = Field(default=True, description="the scene before inpainting, as another variant")
     metres_per_unit: Positive | None = Field(
         default=None, description="length of a scene unit; None: as pose-estimation found it, or unknown"

@@ -1,24 +1,36 @@
-"""Many depth maps into one surface: a truncated signed distance volume (Curless and Levoy 1996)."""
+"""Many depth maps into one surface: a truncated signed distance volume (Curless and Levoy 1996) of contracted space.
+
+Contracted, what is far away takes coarse cells and what is near takes fine ones, so that one grid holds the table and
+the wall behind it. Distances are computed on a coarse grid first, and finely only in its blocks next to the surface.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, maximum_filter
 
+from inpaint3d.stages.usd_export.contraction import expand, measure_stretch
 from inpaint3d.stages.usd_export.surface_views import SurfaceView
 
 Floats = NDArray[np.float32]
+Box = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+BLOCK = 4  # fine cells along a side of a coarse one
+SLAB = 1 << 18  # points computed at once; bounds memory
+BORDER = 0.06  # share of a picture's longest side
+SMOOTHING = 0.8  # cells; standard deviation
 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """Distances [x, y, z] at cell corners, in truncations: 1 free, 0 surface, -1 behind it; weight 0: never seen."""
+    """Distances [x, y, z] at cell corners, in truncations: 1 free, 0 surface, -1 behind it, or not `known`."""
 
     low: NDArray[np.float64]
     cell: float
     distance: Floats
-    weight: Floats
+    known: NDArray[np.bool_]
 
 
 def corners(low: NDArray[np.float64], high: NDArray[np.float64], grid: int) -> tuple[float, tuple[int, int, int]]:
@@ -29,39 +41,72 @@ def corners(low: NDArray[np.float64], high: NDArray[np.float64], grid: int) -> t
     return cell, (max(x, 2), max(y, 2), max(z, 2))
 
 
-def fuse(
-    views: Sequence[SurfaceView],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    *,
-    grid: int,
-    truncation_cells: float,
-) -> Volume:
-    """Average the views' signed distances along their axes, each cut at the truncation; what lies deeper is unseen.
+def fuse(views: Sequence[SurfaceView], box: Box, *, grid: int, truncation_cells: float) -> Volume:
+    """The views' signed distances along their axes, each cut at the truncation, averaged; what lies deeper is unseen.
 
-    Works through the volume in slabs of constant x, so that memory beyond the result is that of one slab.
+    box: corners of contracted space. What lies behind surfaces and is seen by no other view counts as solid, so that
+    the surface goes on there and has no cracks (section 4 of the paper). Corners far from any surface are not known.
     """
-    cell, shape = corners(low, high, grid)
-    truncation = cell * truncation_cells
-    distance, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    y, z = np.meshgrid(low[1] + cell * np.arange(shape[1]), low[2] + cell * np.arange(shape[2]), indexing="ij")
-    for i in range(shape[0]):
-        points = np.stack([np.full_like(y, low[0] + cell * i), y, z], -1)
-        total, count = np.zeros(shape[1:], np.float32), np.zeros(shape[1:], np.float32)
-        for view in views:
-            ahead = depth_ahead(view, points)
-            near = ahead > -truncation
-            total += np.where(near, np.minimum(ahead / truncation, 1.0), 0.0)
-            count += near
-        distance[i] = total / np.maximum(count, 1.0)
-        weight[i] = count
-    return Volume(low, cell, distance, weight)
+    cell, shape = corners(*box, grid)
+    coarse_cell = cell * BLOCK
+    coarse_shape = tuple(-(-n // BLOCK) for n in shape)
+    # A coarse cell stands for all of its block: what lies within half a block's diagonal of it counts as near.
+    coarse = np.empty(coarse_shape, np.float32)
+    middles = np.indices(coarse_shape).reshape(3, -1).T
+    for part in _slabs(len(middles)):
+        points = box[0] + coarse_cell * (middles[part] + 0.5)
+        coarse.reshape(-1)[part] = average_distance(views, points, truncation_cells * cell + coarse_cell)
+    free, solid = (np.asarray(maximum_filter(side, 3), bool) for side in (coarse > 0, coarse < 0))
+    near = (np.abs(coarse) < 1) | (free & solid)
+    blocks = np.argwhere(maximum_filter(near, 3))
+    inner = np.indices((BLOCK,) * 3).reshape(3, -1).T
+    index = (blocks[:, None] * BLOCK + inner).reshape(-1, 3)
+    index = index[(index < shape).all(1)]
+    distance, known = np.zeros(shape, np.float32), np.zeros(shape, bool)
+    for part in _slabs(len(index)):
+        at = tuple(index[part].T)
+        found = average_distance(views, box[0] + cell * index[part], truncation_cells * cell)
+        known[at] = np.isfinite(found)
+        distance[at] = np.where(known[at], found, 0.0)
+    return Volume(box[0], cell, _smooth(distance, known), known)
+
+
+def _smooth(distance: Floats, known: NDArray[np.bool_]) -> Floats:
+    """Average out the depth maps' noise between neighbouring corners."""
+    weight = gaussian_filter(known.astype(np.float32), SMOOTHING)
+    summed = gaussian_filter(np.where(known, distance, np.float32(0)), SMOOTHING)
+    return np.asarray(summed / np.maximum(weight, 1e-6), np.float32)
+
+
+def average_distance(views: Sequence[SurfaceView], contracted: NDArray[np.float64], truncation: float) -> Floats:
+    """Mean signed distance, in truncations, at contracted points [n, 3]; -1 behind surfaces, NaN unseen."""
+    points = expand(contracted)
+    band = truncation * measure_stretch(points)
+    total, count = np.zeros(len(points), np.float32), np.zeros(len(points), np.float32)
+    hidden = np.zeros(len(points), bool)
+    for view in views:
+        ahead = depth_ahead(view, points) / band
+        near = ahead > -1
+        total += np.where(near, np.minimum(ahead, 1.0), 0.0)
+        count += near
+        hidden |= ~near & (ahead > -np.inf)
+    return np.where(count > 0, total / np.maximum(count, 1.0), np.where(hidden, np.float32(-1), np.float32(np.nan)))
 
 
 def depth_ahead(view: SurfaceView, points: NDArray[np.float64]) -> Floats:
-    """How far behind each point [*n, 3] the view's surface lies along its axis; -inf where the view says nothing."""
-    xy, z = view.camera.project(points)
-    inside = view.camera.inside(xy, z)
+    """How far behind each point [*n, 3] the view's surface lies along its axis; -inf where the view says nothing.
+
+    The border's pixels speak for a strip around the picture too: cells that it cuts would be left out else.
+    """
+    camera = view.camera
+    xy, z = camera.project(points)
+    strip = BORDER * max(camera.width, camera.height)
+    inside = camera.inside(np.clip(xy, 0, (camera.width - 0.5, camera.height - 0.5)), z)
+    inside &= (xy >= -strip).all(-1) & (xy <= (camera.width + strip, camera.height + strip)).all(-1)
     column, row = np.where(inside[..., None], xy, 0).astype(np.int64).transpose(-1, *range(xy.ndim - 1))
-    depth = view.depth[row, column]
+    depth = view.depth[row.clip(0, camera.height - 1), column.clip(0, camera.width - 1)]
     return np.where(inside & (depth > 0), depth - z, -np.inf).astype(np.float32)
+
+
+def _slabs(count: int) -> list[slice]:
+    return [slice(start, start + SLAB) for start in range(0, count, SLAB)]

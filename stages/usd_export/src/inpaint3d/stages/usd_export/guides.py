@@ -38,4 +38,4 @@ def visual_hull(
     # Voxels at the border of the grid count as outside, so that the hull is a closed surface.
     share = np.pad(share, 1)
     distance = (AGREEMENT - share - 1e-6).astype(np.float32)
-    return extract(Volume(low - cell, cell, distance, np.ones_like(distance)))
+    return extract(Volume(low - cell, cell, distance, np.ones(distance.shape, bool)))

@@ -1,10 +1,10 @@
-"""The USD layer: mesh with texture in a variant for each content, cameras, and the mask as a guide."""
+"""The USD layer: mesh with texture in a variant for each content, cameras, sparse points, and the mask as a guide."""
 
 # pxr ships no type stubs for its compiled modules.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,48 +13,63 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt
 
 from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.cameras import Camera
+from inpaint3d.scene.capture_io import SparsePoints
+from inpaint3d.stages.usd_export.camera_prims import write_cameras
+from inpaint3d.stages.usd_export.guide_prims import compute_extent, write_mask, write_points
 from inpaint3d.stages.usd_export.mesh import Mesh
 
 ROOT = "/Scene"
 VARIANT_SET = "content"
-FRAMES_PER_SECOND = 24.0
-APERTURE_MM = 36.0  # of a full-frame camera; only its ratio to the focal length matters
-_OPENCV_FROM_USD = np.diag([1.0, -1.0, -1.0])  # a USD camera looks along -z with y up
+ASSET_VERSION = "0.1.0"
 
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """One variant: its mesh, texture coordinates [t, 3, 2] and the texture's path relative to the layer."""
+    """One variant: its mesh, texture coordinates [t, 3, 2] and the texture's path relative to the layer.
+
+    filled: of the pictures that show a triangle, the share in which it lies under the mask, [t].
+    """
 
     name: str
     mesh: Mesh
     coordinates: NDArray[np.float32]
     texture: str
+    filled: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that the layer holds. The first content is the one that shows."""
+    """All that the layer holds. The first content is the one that shows.
+
+    provenance: what the scene was made of, name to digest or words; it becomes customLayerData.
+    """
 
     contents: Sequence[Content]
     names: Sequence[str]
     cameras: Sequence[Camera]
     primitives: Sequence[Primitive]
     hull: Mesh | None
+    points: SparsePoints | None
     metres_per_unit: float | None
+    provenance: Mapping[str, str] = field(default_factory=dict)
 
 
 def write_layer(path: Path, scene: Scene) -> None:
     """Write the scene as a binary layer; equal scenes give equal bytes."""
     stage = Usd.Stage.CreateNew(str(path))
+    metres_per_unit = scene.metres_per_unit or 1.0
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    UsdGeom.SetStageMetersPerUnit(stage, scene.metres_per_unit or 1.0)
+    UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
     # USD has no word for it, and its validators ask for a length.
     known = "unknown" if scene.metres_per_unit is None else "known"
-    stage.GetRootLayer().customLayerData = {"inpaint3d:scale": known}
+    told = {f"inpaint3d:{name}": value for name, value in sorted(scene.provenance.items())}
+    stage.GetRootLayer().customLayerData = {"inpaint3d:scale": known} | told
     root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
     stage.SetDefaultPrim(root)
-    Usd.ModelAPI(root).SetKind("component")
+    model = Usd.ModelAPI(root)
+    model.SetKind("component")
+    model.SetAssetName("scene")
+    model.SetAssetVersion(ASSET_VERSION)
     variants = root.GetVariantSets().AddVariantSet(VARIANT_SET)
     for content in scene.contents:
         variants.AddVariant(content.name)
@@ -62,8 +77,10 @@ def write_layer(path: Path, scene: Scene) -> None:
         with variants.GetVariantEditContext():
             _write_mesh(stage, content)
     variants.SetVariantSelection(scene.contents[0].name)
-    _write_cameras(stage, scene)
-    _write_mask(stage, scene)
+    write_cameras(stage, f"{ROOT}/Cameras", scene.names, scene.cameras, metres_per_unit)
+    if scene.points is not None and len(scene.points):
+        write_points(stage, f"{ROOT}/SparsePoints", scene.points)
+    write_mask(stage, f"{ROOT}/Mask", scene.primitives, scene.hull)
     stage.GetRootLayer().Save()
 
 
@@ -76,10 +93,26 @@ def _write_mesh(stage: Usd.Stage, content: Content) -> None:
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(_compute_extent(points))
+    mesh.CreateExtentAttr(compute_extent(points))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(content.mesh.vertex_normals().astype(np.float32)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(content.coordinates.reshape(-1, 2))))
+    _mark_filled(mesh, content.filled)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(_write_material(stage, content.texture))
+
+
+def _mark_filled(mesh: UsdGeom.Mesh, filled: NDArray[np.float32]) -> None:
+    """A primvar that says how much of a triangle was filled, and a subset to select those that mostly were."""
+    api = UsdGeom.PrimvarsAPI(mesh)
+    share = api.CreatePrimvar("inpainted", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.uniform)
+    share.Set(Vt.FloatArray.FromNumpy(filled))
+    chosen = np.flatnonzero(filled > 0.5).astype(np.int32)
+    subset = UsdGeom.Subset.Define(mesh.GetPrim().GetStage(), f"{mesh.GetPath()}/Inpainted")
+    subset.CreateElementTypeAttr(UsdGeom.Tokens.face)
+    subset.CreateFamilyNameAttr("region")
+    subset.CreateIndicesAttr(Vt.IntArray.FromNumpy(chosen))
+    UsdGeom.Subset.SetFamilyType(mesh, "region", UsdGeom.Tokens.nonOverlapping)
 
 
 def _write_material(stage: Usd.Stage, texture: str) -> UsdShade.Material:
@@ -107,84 +140,3 @@ def _write_material(stage: Usd.Stage, texture: str) -> UsdShade.Material:
     surface.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(1)
     material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
     return material
-
-
-def _write_cameras(stage: Usd.Stage, scene: Scene) -> None:
-    """One camera that walks through the views, a frame each, and one camera for each view."""
-    UsdGeom.Scope.Define(stage, f"{ROOT}/Cameras")
-    stage.SetTimeCodesPerSecond(FRAMES_PER_SECOND)
-    stage.SetFramesPerSecond(FRAMES_PER_SECOND)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(max(0, len(scene.cameras) - 1))
-    walk = UsdGeom.Camera.Define(stage, f"{ROOT}/Cameras/Walk")
-    for i, camera in enumerate(scene.cameras):
-        _place_camera(walk, camera, Usd.TimeCode(i))
-    UsdGeom.Scope.Define(stage, f"{ROOT}/Cameras/Views")
-    for i, (name, camera) in enumerate(zip(scene.names, scene.cameras, strict=True)):
-        # Names of pictures may be no USD identifiers, and two may become one: the number keeps them apart.
-        prim = UsdGeom.Camera.Define(stage, f"{ROOT}/Cameras/Views/View_{i:04d}")
-        prim.GetPrim().SetDisplayName(name)
-        _place_camera(prim, camera, Usd.TimeCode.Default())
-
-
-def _place_camera(prim: UsdGeom.Camera, camera: Camera, time: Usd.TimeCode) -> None:
-    focal = camera.fx * APERTURE_MM / camera.width
-    vertical = focal / camera.fy
-    prim.CreateProjectionAttr(UsdGeom.Tokens.perspective)
-    prim.CreateHorizontalApertureAttr().Set(APERTURE_MM, time)
-    prim.CreateVerticalApertureAttr().Set(camera.height * vertical, time)
-    prim.CreateFocalLengthAttr().Set(focal, time)
-    prim.CreateHorizontalApertureOffsetAttr().Set((camera.width / 2 - camera.cx) * APERTURE_MM / camera.width, time)
-    prim.CreateVerticalApertureOffsetAttr().Set((camera.cy - camera.height / 2) * vertical, time)
-    prim.CreateClippingRangeAttr(Gf.Vec2f(0.01, 1000.0))
-    matrix = np.eye(4)
-    matrix[:3, :3] = camera.rotation @ _OPENCV_FROM_USD
-    matrix[:3, 3] = camera.centre
-    _transform(prim).Set(Gf.Matrix4d(matrix.T), time)  # USD multiplies rows from the left
-
-
-def _transform(prim: UsdGeom.Xformable) -> UsdGeom.XformOp:
-    operations = prim.GetOrderedXformOps()
-    return operations[0] if operations else prim.AddTransformOp()
-
-
-def _write_mask(stage: Usd.Stage, scene: Scene) -> None:
-    """The mask's volumes, of purpose `guide`: shown when asked for, never rendered."""
-    if not scene.primitives and scene.hull is None:
-        return
-    holder = UsdGeom.Xform.Define(stage, f"{ROOT}/Mask")
-    holder.CreatePurposeAttr(UsdGeom.Tokens.guide)
-    for i, primitive in enumerate(scene.primitives):
-        kind = UsdGeom.Sphere if primitive.kind == "sphere" else UsdGeom.Cube
-        shape = kind.Define(stage, f"{ROOT}/Mask/Volume_{i}")
-        if primitive.kind == "sphere":
-            shape.CreateRadiusAttr(0.5)
-            shape.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(-0.5), Gf.Vec3f(0.5)]))
-        else:
-            shape.CreateSizeAttr(1.0)
-            shape.CreateExtentAttr(Vt.Vec3fArray([Gf.Vec3f(-0.5), Gf.Vec3f(0.5)]))
-        matrix = Gf.Matrix4d().SetScale(Gf.Vec3d(*primitive.size))
-        matrix *= Gf.Matrix4d().SetRotate(Gf.Rotation(Gf.Vec3d(0, 0, 1), primitive.yaw_deg))
-        matrix *= Gf.Matrix4d().SetTranslate(Gf.Vec3d(*primitive.centre))
-        shape.AddTransformOp().Set(matrix)
-        shape.GetPrim().SetCustomDataByKey("inpaint3d:inverted", primitive.inverted)
-        _set_tint(shape)
-    if scene.hull is not None:
-        hull = UsdGeom.Mesh.Define(stage, f"{ROOT}/Mask/Hull")
-        points = scene.hull.vertices.astype(np.float32)
-        triangles = scene.hull.triangles.astype(np.int32)
-        hull.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-        hull.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(triangles), 3, np.int32)))
-        hull.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
-        hull.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        hull.CreateExtentAttr(_compute_extent(points))
-        _set_tint(hull)
-
-
-def _set_tint(shape: UsdGeom.Gprim) -> None:
-    shape.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(1.0, 0.22, 0.42)]))
-    shape.CreateDisplayOpacityAttr(Vt.FloatArray([0.35]))
-
-
-def _compute_extent(points: NDArray[np.float32]) -> Vt.Vec3fArray:
-    return Vt.Vec3fArray([Gf.Vec3f(*map(float, points.min(0))), Gf.Vec3f(*map(float, points.max(0)))])

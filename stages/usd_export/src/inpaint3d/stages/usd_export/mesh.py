@@ -1,5 +1,6 @@
 """From a volume to triangles."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,10 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from inpaint3d.scene.planes import Plane
 from inpaint3d.stages.usd_export.fusion import Volume
+
+ALIKE = np.cos(np.deg2rad(30))  # normals closer than this are of one plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +25,15 @@ class Mesh:
         """The corners of every triangle, [t, 3, 3]."""
         return self.vertices[self.triangles]
 
+    def vertex_normals(self) -> NDArray[np.float64]:
+        """Unit normals of the vertices [v, 3]: the mean of their triangles', by area; z where they cancel out."""
+        a, b, c = self.corners().transpose(1, 0, 2)
+        normals = np.zeros_like(self.vertices)
+        for corner in self.triangles.T:
+            np.add.at(normals, corner, np.cross(b - a, c - a))
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.where(length > 0, normals / np.where(length > 0, length, 1.0), (0.0, 0.0, 1.0))
+
     def normals(self) -> NDArray[np.float64]:
         """Unit normals [t, 3], towards free space; zero for a triangle without area."""
         a, b, c = self.corners().transpose(1, 0, 2)
@@ -29,23 +42,25 @@ class Mesh:
         return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
 
 
+EMPTY = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+
+
 def extract(volume: Volume) -> Mesh:
-    """The surface at distance 0, between corners that were seen (marching cubes, Lewiner et al. 2003).
+    """The surface at distance 0, between known corners (marching cubes, Lewiner et al. 2003).
 
     An empty mesh where the volume holds no surface.
     """
     from skimage.measure import marching_cubes
 
-    seen = volume.weight > 0
-    inside = volume.distance[seen]
+    inside = volume.distance[volume.known]
     if inside.size == 0 or inside.min() >= 0 or inside.max() <= 0:
-        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+        return EMPTY
     try:
         vertices, triangles, _, _ = marching_cubes(
-            volume.distance, 0.0, mask=_find_whole_cells(seen), gradient_direction="descent"
+            volume.distance, 0.0, mask=_find_whole_cells(volume.known), gradient_direction="descent"
         )
-    except RuntimeError:  # seen corners of both signs, but never in one cell
-        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+    except RuntimeError:  # known corners of both signs, but never in one cell
+        return EMPTY
     placed = volume.low + volume.cell * vertices.astype(np.float64)
     return remove_slivers(Mesh(placed, triangles.astype(np.int64)))
 
@@ -89,3 +104,34 @@ def compact(vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Mesh
     """The triangles with only the vertices that they use."""
     used, index = np.unique(triangles, return_inverse=True)
     return Mesh(vertices[used], index.reshape(triangles.shape).astype(np.int64))
+
+
+def simplify(mesh: Mesh, triangles: int) -> Mesh:
+    """At most about so many triangles, fewest where the surface is flat (quadric errors, Garland and Heckbert 1997)."""
+    from fast_simplification import simplify as collapse
+
+    if len(mesh.triangles) <= triangles:
+        return mesh
+    made = collapse(mesh.vertices, mesh.triangles.astype(np.int32), target_count=triangles, agg=5)
+    return remove_slivers(Mesh(np.asarray(made[0], np.float64), np.asarray(made[1], np.int64)))
+
+
+def keep_seen(mesh: Mesh, seen: NDArray[np.bool_]) -> Mesh:
+    """The seen triangles [t], and the two rings around them, which no ray happened to meet."""
+    for _ in range(2):
+        vertices = np.zeros(len(mesh.vertices), bool)
+        vertices[mesh.triangles[seen]] = True
+        seen = np.any(vertices[mesh.triangles], axis=1, keepdims=True)[:, 0]
+    return compact(mesh.vertices, mesh.triangles[seen])
+
+
+def flatten(mesh: Mesh, planes: Sequence[Plane], tolerance: NDArray[np.float64]) -> Mesh:
+    """Vertices within `tolerance` [v] of a plane that faces as they do lie on it."""
+    vertices, normals = mesh.vertices.copy(), mesh.vertex_normals()
+    free = np.ones(len(vertices), bool)
+    for plane in planes:
+        near = plane.distance(vertices) < tolerance
+        held = free & near & (np.abs(normals @ plane.normal) > ALIKE)
+        vertices[held] -= (vertices[held] @ plane.normal - plane.offset)[:, None] * plane.normal
+        free &= ~held
+    return Mesh(vertices, mesh.triangles)

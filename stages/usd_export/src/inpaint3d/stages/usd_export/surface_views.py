@@ -1,6 +1,6 @@
 """What a field looks like from the capture's cameras: colour and depth, stored or rendered."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,22 +50,6 @@ def surface_view(
     colour = np.where(surface[..., None], rgb, 0).astype(np.float32)
     height, width = depth.shape
     return SurfaceView(camera.resize_to(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
-
-
-def bounds_of(views: Sequence[SurfaceView], reach: float) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Corners of the box of all surfaces seen within `reach` of the origin, but for outliers; None without any."""
-    points = []
-    for view in views:
-        seen = view.depth > 0
-        xy = view.camera.pixel_centres()[seen]
-        points.append(view.camera.unproject(xy, view.depth[seen]))
-    every = np.concatenate(points)
-    every = every[np.abs(every).max(1) <= reach]
-    if len(every) == 0:
-        return None
-    low, high = np.quantile(every, [0.005, 0.995], axis=0)
-    margin = 0.03 * float((high - low).max()) + 1e-3
-    return np.maximum(low - margin, -reach), np.minimum(high + margin, reach)
 
 
 def _read_stored(

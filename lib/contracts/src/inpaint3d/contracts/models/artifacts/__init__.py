@@ -27,7 +27,14 @@ from inpaint3d.contracts.models.artifacts.posed import (
     Registration,
 )
 from inpaint3d.contracts.models.artifacts.prior import DiffusionPrior, PriorSpec
-from inpaint3d.contracts.models.artifacts.results import Evaluation, Metric, PictureStrip, Protocol, UsdScene
+from inpaint3d.contracts.models.artifacts.results import (
+    Evaluation,
+    MeshFidelity,
+    Metric,
+    PictureStrip,
+    Protocol,
+    UsdScene,
+)
 from inpaint3d.contracts.models.base import Closed
 
 SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
@@ -79,6 +86,7 @@ __all__ = [
     "MaskRequestArtifact",
     "MaskSet",
     "MaskView",
+    "MeshFidelity",
     "Metric",
     "MetricScale",
     "NamedMask",

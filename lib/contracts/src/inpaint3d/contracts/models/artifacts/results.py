@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from inpaint3d.contracts.models.base import Closed, Finite, Positive, RelativePath, Vector3
+from inpaint3d.contracts.models.base import Closed, Finite, Positive, RelativePath, Share, Vector3
 
 
 class Metric(Closed):
@@ -64,6 +64,15 @@ class Evaluation(Closed):
     non_finite: dict[str, int] = {}
 
 
+class MeshFidelity(Closed):
+    """How far renders of the textured mesh are from photographs that it was not made of; outside the mask."""
+
+    photos: int = Field(description="over how many held-out photographs, each at its own size")
+    psnr: Finite = Field(description="dB, mean over the photographs")
+    ssim: Finite
+    field_psnr: Finite | None = Field(default=None, description="dB, the radiance field's own, as its artifact says")
+
+
 class UsdScene(Closed):
     """`scene.usdz` (mesh, textures, cameras, masks) and `scene.usdc` with `textures/` beside it."""
 
@@ -71,6 +80,9 @@ class UsdScene(Closed):
     layer: RelativePath = "scene.usdc"
     textures: tuple[RelativePath, ...] = ()
     triangles: int
+    charts: int = Field(description="pieces that the mesh was cut into to be flattened")
+    texel_use: Share = Field(description="of the texture, what lies in a chart")
+    fidelity: MeshFidelity | None = Field(default=None, description="None: no photograph was held out")
     cameras: int
     variants: tuple[str, ...] = Field(default=(), description="e.g. 'inpainted', 'original', 'mask'")
     bounds_min: Vector3
