@@ -17,8 +17,8 @@ from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import saved_mask
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.intake import name_run
-from inpaint3d.orchestrator.options import Name, Places, Request, with_options
+from inpaint3d.orchestrator.intake import name_run, take_segmenter
+from inpaint3d.orchestrator.options import Name, Places, Request, Segmenter, with_options
 from inpaint3d.orchestrator.plan import Selection
 from inpaint3d.orchestrator.progress import choose_display
 from inpaint3d.orchestrator.request import ConfiguredRequest
@@ -50,6 +50,7 @@ def edit(
     capture: Annotated[str, typer.Argument(help="name of a run, or the capture that it is of")],
     places: Places,
     name: Name = None,
+    segmenter: Segmenter = None,
     port: Annotated[int, typer.Option(help="of this machine; default: any that is free")] = 0,
 ) -> None:
     """Serve a page on which a person points at what is to go, and sees the masks in every view; until Ctrl-C.
@@ -59,15 +60,18 @@ def edit(
     """
     store = open_store(places.store)
     with store.shared():
+        network = take_segmenter(store, *segmenter) if segmenter else None
         record = _find_run(store, capture, places, name)
         outputs = {node.node: node.outputs for node in record.nodes}
         shown = {option: outputs.get(node, {}).get(output) for option, (node, output) in SHOWN.items()}
         if shown["capture"] is None:
             why = next((f": {node.error}" for node in record.nodes if node.error), "")
             raise BadInputError(f"{record.name} has no pictures yet{why}; `inpaint3d run` it first")
-        then = saved_mask.command_to_run(record.name, capture if Path(capture).exists() else "PHOTOS", places)
+        photos = capture if Path(capture).exists() else "PHOTOS"
+        then = saved_mask.command_to_run(record.name, photos, places, segmenter)
         target = str(saved_mask.path_of(places.runs_dir / record.name))
-        code = _serve(store, shown, ["--save", target, "--title", record.name, "--then", then, "--port", str(port)])
+        options = ["--save", target, "--title", record.name, "--then", then, "--port", str(port)]
+        code = _serve(store, shown | {"segmenter": network}, options)
     raise typer.Exit(code)
 
 
