@@ -10,10 +10,12 @@ import pytest
 from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import Capture, MaskRequest, PosedCapture, RadianceFieldArtifact, Segmenter
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.orchestrator.intake import take_segmenter
 from inpaint3d.scene.synthetic import BALL_RADIUS
+from inpaint3d.stages.mask_authoring.author import author
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.editor import Editor
 from inpaint3d.stages.mask_authoring.page.masks import trace_outline
@@ -32,13 +34,17 @@ def room(tmp_path_factory):
     return build_room(tmp_path_factory.mktemp("store"))
 
 
-def open_editor(room, folder, *, posed=True, field=True, segmenter=None):
-    subject = open_subject(
+def open_room(room, *, posed=True, field=True, segmenter=None):
+    return open_subject(
         room.store.open(room.capture, Capture),
         room.store.open(room.posed, PosedCapture) if posed else None,
         room.store.open(room.field, RadianceFieldArtifact) if field else None,
         segmenter,
     )
+
+
+def open_editor(room, folder, *, posed=True, field=True, segmenter=None):
+    subject = open_room(room, posed=posed, field=field, segmenter=segmenter)
     return closing(Editor("room", subject, folder / "mask.yaml", "inpaint3d run PHOTOS", FAST))
 
 
@@ -119,6 +125,16 @@ def test_masks_are_carried_to_every_view(editor, room):
     assert state["consistency"] > 0.7
     again = ask(editor, "progress", revision=state["revision"])
     assert (again["outlines"], again["complete"]) == (None, True)
+
+
+def test_what_is_carried_is_what_the_stage_makes_of_the_request(editor, room, tmp_path):
+    request = MaskRequest.model_validate(on_ball(room))
+    subject = open_room(room)
+    ctx = Context(seed=0, device="cpu", threads=1, work=tmp_path, emit=lambda event, **values: None)
+    masks = author(request.mask, subject.scene, request.dilate, FAST, ctx).masks
+    expected = {name: trace_outline(mask, 120, 90) for name, mask in zip(subject.names(), masks, strict=True)}
+    for _ in range(2):  # what is kept of the first serves the second
+        assert carry(editor, on_ball(room))[1]["outlines"] == expected
 
 
 def test_the_latest_request_wins(editor, room):

@@ -33,7 +33,7 @@ SPECKS = 0.02  # parts of an object's mask below this share of its largest are e
 def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: Config, ctx: Context) -> Authored:
     """Cut out where it was pointed at, carried to the other views with depth, held together by a voxel hull."""
     small = scene.small(config.segment_size)
-    planes = find_planes(scene.points, small)
+    planes = find_planes(scene.points, small) if scene.planes is None else scene.planes
     found = {
         find_view(scene.views, prompts.view): segment_prompted(prompts, scene, config, ctx, planes)
         for prompts in request.prompts
