@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -13,11 +14,12 @@ from pathlib import Path
 import pytest
 import yaml
 
+from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.artifacts import MaskSet
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.masks_cli import SHOWN
+from inpaint3d.orchestrator.masks_cli import SHOWN, check_installed, command_of_page
 from tests.conftest import REPOSITORY
 from tests.page.room import build_room
 from tests.sam_networks import write_networks
@@ -142,6 +144,19 @@ def test_the_page_of_pictures_that_were_never_run_is_served_until_it_is_interrup
         finally:
             os.killpg(process.pid, signal.SIGINT)  # as a terminal does
         assert process.wait(20) == 0
+
+
+def test_a_page_whose_stage_is_in_images_alone_is_refused():
+    check_installed("inpaint3d.stages.mask_authoring")
+    with pytest.raises(ConfigurationError, match=r"not installed in this environment .*containers have no network"):
+        check_installed("inpaint3d.stages.mask_authoring_of_an_image")
+
+
+def test_the_page_is_a_process_of_this_environment_where_stages_run_in_containers(monkeypatch):
+    monkeypatch.setenv("INPAINT3D_RUNNER", "container")
+    line = command_of_page("/store", {"capture": "sha256:a", "radiance-field": None, "segmenter": "sha256:b"}, [])
+    assert line[:4] == [sys.executable, "-m", "inpaint3d.stages.mask_authoring", "edit"]
+    assert line[4:] == ["--store", "/store", "--die-with-parent", "--capture", "sha256:a", "--segmenter", "sha256:b"]
 
 
 def fetch(url):

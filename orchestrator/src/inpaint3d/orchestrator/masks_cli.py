@@ -1,5 +1,6 @@
 """`inpaint3d masks`: a page on which a person points at what is to go."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from inpaint3d.contracts.errors import BadInputError, InterruptedRun
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
 from inpaint3d.contracts.kit.confine import select_environment
 from inpaint3d.contracts.kit.shim import thread_environment
 from inpaint3d.contracts.models.base import Digest
@@ -56,8 +57,9 @@ def edit(
     """Serve a page on which a person points at what is to go, and sees the masks in every view; until Ctrl-C.
 
     Before a run has cameras and a field, masks are shown on the picture pointed at. What is saved is the mask request
-    of the next `run` of the name.
+    of the next `run` of the name. The page is a process of this environment, also where stages run in containers.
     """
+    check_installed(STAGE)
     store = open_store(places.store)
     with store.shared():
         network = take_segmenter(store, *segmenter) if segmenter else None
@@ -75,6 +77,15 @@ def edit(
     raise typer.Exit(code)
 
 
+def check_installed(module: str) -> None:
+    """ConfigurationError where the stage is in images alone: a container has no network for a page."""
+    if importlib.util.find_spec(module) is None:
+        raise ConfigurationError(
+            f"the page is served by {module}, which is not installed in this environment ({sys.prefix}): containers "
+            "have no network to serve it from; run `make install`, or `uv sync --all-packages`, here"
+        )
+
+
 def _find_run(store: Store, capture: str, places: Places, name: str | None) -> RunRecord:
     """The last run of a name or of a capture; of a capture that was never run, its pictures are read."""
     path = Path(capture)
@@ -90,10 +101,15 @@ def _find_run(store: Store, capture: str, places: Places, name: str | None) -> R
         return Scheduler(planner, selection, choose_display("auto", planner.pipeline.order), folder).run()
 
 
+def command_of_page(store: str, shown: Mapping[str, Digest | None], options: list[str]) -> list[str]:
+    """The stage's command `edit`, in this environment."""
+    line = [sys.executable, "-m", STAGE, "edit", "--store", store, "--die-with-parent", *options]
+    return line + [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
+
+
 def _serve(store: Store, shown: Mapping[str, Digest | None], options: list[str]) -> int:
     """The stage's own process, until it ends; its exit code."""
-    line = [sys.executable, "-m", STAGE, "edit", "--store", store.place, "--die-with-parent", *options]
-    line += [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
+    line = command_of_page(store.place, shown, options)
     process = subprocess.Popen(line, env=select_environment(os.environ) | thread_environment(THREADS))
     try:
         return process.wait()
