@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from inpaint3d.contracts.kit.upstream import Upstream, invoke
-from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus, PaintedView, PaintedViews
+from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus, PaintedView, PaintedViews, Segmenter
 from inpaint3d.contracts.models.manifest import MANIFEST
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Store
@@ -21,7 +21,7 @@ def main() -> None:
         for last in (node for node in pipeline.order if not pipeline.downstream(node)):
             upstream = Upstream(pipeline, last, store)
             result = invoke(pipeline.stages[last], store, upstream.inputs_of(last), stub=True)
-            given = (_corpus(store), _pipeline(store), _painted(store))
+            given = (_corpus(store), _pipeline(store), _painted(store), _segmenter(store))
             for digest in (*upstream.produced.values(), *result.outputs.values(), *given):
                 name, _, version = store.manifest(digest).schema_id.partition("@")
                 target = REPOSITORY / "schemas" / "golden" / name / f"{version}.json"
@@ -52,6 +52,14 @@ def _painted(store: Store) -> str:
         (folder / name / "a.png").write_bytes(b"not looked at")
     view = PaintedView(name="a", picture="pictures/a.png", mask="masks/a.png")
     return store.put(folder, "painted-views", PaintedViews(views=(view,)))
+
+
+def _segmenter(store: Store) -> str:
+    folder, metadata = store.private_folder(), Segmenter(family="sam")
+    for path in (metadata.encoder, metadata.decoder):
+        (folder / path).parent.mkdir()
+        (folder / path).write_bytes(b"not looked at")
+    return store.put(folder, "segmenter", metadata)
 
 
 if __name__ == "__main__":

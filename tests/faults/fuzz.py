@@ -25,6 +25,7 @@ from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.models.artifacts.masks import MaskRequest
 from inpaint3d.contracts.models.cluster import ClusterSpec
 from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.contracts.models.onnx_signature import read_onnx_signature
 from inpaint3d.contracts.models.pipeline import PipelineSpec
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.models.stage import load_stage
@@ -39,6 +40,7 @@ from tests.colour_profiles import DISPLAY_P3, SRGB_CURVE, matrix_profile
 from tests.conftest import REPOSITORY
 from tests.faults.results import conclude
 from tests.faults.trials import build_store
+from tests.sam_networks import write_networks
 
 TOKENS = [
     b"null", b"true", b"-1", b"0", b"1e999", b"nan", b".inf", b"9" * 400, b"''", b"../..", b"/etc/passwd", b"sha256:",
@@ -100,6 +102,7 @@ def make_targets(folder: Path) -> dict[str, tuple[bytes, str, Read]]:
     cluster = b"apiVersion: inpaint3d/v1\nkind: Cluster\nmetadata: {name: a}\nspec: {store: 's3://a/b', cache: {}}\n"
     mask = b"mask:\n  kind: sphere\n  centre: [0, 0, 0.5]\n  radius: 0.3\n"
     invocation = Invocation(inputs={"a": "sha256:" + "0" * 64}, parameters={"steps": 3}).model_dump_json().encode()
+    onnx = write_networks(folder / "networks", "sam")[1].read_bytes()
     index = b'{"_class_name": "StableDiffusionInpaintPipeline", "unet": ["diffusers", "UNet2DConditionModel"]}'
     return {
         "YAML": (pipeline[:3000], "a.yaml", lambda p: parse_yaml(p.read_text(errors="replace"))),
@@ -113,6 +116,7 @@ def make_targets(folder: Path) -> dict[str, tuple[bytes, str, Read]]:
         "run record": (record.read_bytes(), "a.json", _read_run),
         "manifest": (manifest.read_bytes(), "a.json", lambda p: parse_manifest(p.read_bytes(), str(p))),
         "diffusers index": (index, INDEX, lambda p: read_kind(p.parent)),
+        "ONNX": (onnx, "a.onnx", read_onnx_signature),
         "safetensors header": (
             (folder / "points.safetensors").read_bytes(), "a.safetensors", read_safetensors_header,
         ),

@@ -10,16 +10,21 @@ import pytest
 from pydantic import ValidationError
 
 from inpaint3d.contracts.errors import ConfigurationError
+from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.kit.page_server import Refusal
-from inpaint3d.contracts.models.artifacts import Capture, MaskRequest, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import Capture, MaskRequest, PosedCapture, RadianceFieldArtifact, Segmenter
 from inpaint3d.contracts.models.documents import load_document
+from inpaint3d.orchestrator.intake import take_segmenter
 from inpaint3d.scene.synthetic import BALL_RADIUS
+from inpaint3d.stages.mask_authoring.author import author
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.editor import Editor
 from inpaint3d.stages.mask_authoring.page.masks import trace_outline
 from inpaint3d.stages.mask_authoring.page.pictures import fit_size, open_subject
+from inpaint3d.stages.mask_authoring.sam import load_segmenter
 from inpaint3d.stages.mask_authoring.segment import iou
 from tests.page.room import build_room
+from tests.sam_networks import REACH, write_networks
 
 FAST = Config(voxels=32, grabcut_rounds=2, refine_rounds=1)
 
@@ -29,12 +34,17 @@ def room(tmp_path_factory):
     return build_room(tmp_path_factory.mktemp("store"))
 
 
-def open_editor(room, folder, *, posed=True, field=True):
-    subject = open_subject(
+def open_room(room, *, posed=True, field=True, segmenter=None):
+    return open_subject(
         room.store.open(room.capture, Capture),
         room.store.open(room.posed, PosedCapture) if posed else None,
         room.store.open(room.field, RadianceFieldArtifact) if field else None,
+        segmenter,
     )
+
+
+def open_editor(room, folder, *, posed=True, field=True, segmenter=None):
+    subject = open_room(room, posed=posed, field=field, segmenter=segmenter)
     return closing(Editor("room", subject, folder / "mask.yaml", "inpaint3d run PHOTOS", FAST))
 
 
@@ -86,6 +96,20 @@ def test_a_click_on_the_ball_masks_it_at_once(editor, room):
     assert told["share"] == pytest.approx(truth.mean(), rel=0.15)
 
 
+def test_a_network_that_was_named_is_asked_at_once_and_for_what_is_carried(room, tmp_path):
+    digest = take_segmenter(room.store, *write_networks(tmp_path, "sam2"))
+    network = load_segmenter(room.store.open(digest, Segmenter), threads=1)
+    x, y = room.middle_of_ball(2)
+    with open_editor(room, tmp_path, segmenter=network) as editor:
+        assert tell(editor)["finder"] == "Segment Anything 2"
+        told = ask(editor, "mask", request=on_ball(room), view="view_002")
+        found = fill(told["outline"], (90, 120))
+        columns, rows = np.meshgrid(np.arange(120) + 0.5, np.arange(90) + 0.5)
+        box = (np.abs(columns - x) < REACH * 120) & (np.abs(rows - y) < REACH * 90)
+        assert iou(found, box) > max(0.85, iou(found, room.scene.object_masks[2]) + 0.1), "its answer, not the ball"
+        assert carry(editor, on_ball(room))[1]["error"] is None
+
+
 def test_on_another_view_only_carrying_can_tell(editor, room):
     assert ask(editor, "mask", request=on_ball(room), view="view_001") == {"outline": None, "share": None}
 
@@ -101,6 +125,16 @@ def test_masks_are_carried_to_every_view(editor, room):
     assert state["consistency"] > 0.7
     again = ask(editor, "progress", revision=state["revision"])
     assert (again["outlines"], again["complete"]) == (None, True)
+
+
+def test_what_is_carried_is_what_the_stage_makes_of_the_request(editor, room, tmp_path):
+    request = MaskRequest.model_validate(on_ball(room))
+    subject = open_room(room)
+    ctx = Context(seed=0, device="cpu", threads=1, work=tmp_path, emit=lambda event, **values: None)
+    masks = author(request.mask, subject.scene, request.dilate, FAST, ctx).masks
+    expected = {name: trace_outline(mask, 120, 90) for name, mask in zip(subject.names(), masks, strict=True)}
+    for _ in range(2):  # what is kept of the first serves the second
+        assert carry(editor, on_ball(room))[1]["outlines"] == expected
 
 
 def test_the_latest_request_wins(editor, room):

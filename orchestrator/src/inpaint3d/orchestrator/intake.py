@@ -3,10 +3,10 @@
 import difflib
 import shutil
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
-from inpaint3d.contracts.models.artifacts import Capture, DiffusersPipeline, MaskRequestArtifact, Source
+from inpaint3d.contracts.models.artifacts import Capture, DiffusersPipeline, MaskRequestArtifact, Segmenter, Source
 from inpaint3d.contracts.models.artifacts.masks import MaskRequest, list_views
 from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.documents import load_document
@@ -15,11 +15,14 @@ from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import Store, load_manifest
 from inpaint3d.orchestrator.diffusers_pipeline import find_pipeline_folder, list_pipeline_files, read_kind
 from inpaint3d.orchestrator.painting import take_painted
+from inpaint3d.orchestrator.segmenter import recognise
 from inpaint3d.orchestrator.source_files import list_source_files
 
 MASK_REQUEST, PRIOR, CORPUS, DIFFUSERS = "mask-request", "pretrained-prior", "image-corpus", "diffusers-pipeline"
-PAINTED = "painted-views"
+PAINTED, SEGMENTER = "painted-views", "segmenter"
 MANY_VIEWS = 5
+Given = Path | tuple[Path, Path]
+"""What a command line gives for an external: a file or a folder, of a segmenter two files."""
 
 
 def take_capture(store: Store, path: Path) -> Digest:
@@ -28,35 +31,49 @@ def take_capture(store: Store, path: Path) -> Digest:
         raise BadInputError(f"{path} does not exist; give a folder of photos, a data set, or a video file")
     metadata = Source(name=path.resolve().name, kind="folder" if path.is_dir() else "file")
     if not path.is_dir():
-        return _take_files(store, "source", metadata, path.parent, [path], "raw")
-    return _take_files(store, "source", metadata, path, list_source_files(path), "raw")
+        return _take_files(store, "source", metadata, _place_below("raw", path.parent, [path]))
+    return _take_files(store, "source", metadata, _place_below("raw", path, list_source_files(path)))
 
 
 def take_pipeline(store: Store, folder: Path) -> Digest:
     """A diffusers pipeline: what of its folder is needed to ask it."""
     metadata = DiffusersPipeline(kind=read_kind(folder))
-    return _take_files(store, "diffusers-pipeline", metadata, folder, list_pipeline_files(folder), "pipeline")
+    files = _place_below("pipeline", folder, list_pipeline_files(folder))
+    return _take_files(store, "diffusers-pipeline", metadata, files)
 
 
-def _take_files(store: Store, name: str, metadata: Closed, root: Path, paths: list[Path], below: str) -> Digest:
-    """Files of `root`, byte for byte, `below` a folder of the artifact. Nothing is copied that the store has."""
-    entries = [describe_file(root, p) for p in paths]
-    files = tuple(e.model_copy(update={"path": f"{below}/{e.path}"}) for e in entries)
-    manifest = Manifest(schema=schema_id(name), files=files, metadata=metadata.model_dump(mode="json"))
+def take_segmenter(store: Store, encoder: Path, decoder: Path) -> Digest:
+    """A network that segments, as two ONNX files; ConfigurationError for files that are none that can be asked."""
+    family, *weights = recognise(encoder, decoder)
+    metadata = Segmenter(family=family)
+    files: dict[str, Path] = {metadata.decoder: decoder, metadata.encoder: encoder}
+    for network, beside in zip((metadata.encoder, metadata.decoder), weights, strict=True):
+        files |= {str(PurePosixPath(network).parent / path.name): path for path in beside}
+    return _take_files(store, "segmenter", metadata, dict(sorted(files.items())))
+
+
+def _place_below(folder: str, root: Path, paths: list[Path]) -> dict[str, Path]:
+    return {f"{folder}/{path.relative_to(root).as_posix()}": path for path in paths}
+
+
+def _take_files(store: Store, name: str, metadata: Closed, files: Mapping[str, Path]) -> Digest:
+    """Path in the artifact -> file, byte for byte, in the order of the paths. Nothing is copied that the store has."""
+    described = tuple(describe_file(p.parent, p).model_copy(update={"path": place}) for place, p in files.items())
+    manifest = Manifest(schema=schema_id(name), files=described, metadata=metadata.model_dump(mode="json"))
     if store.is_whole(manifest.digest):
         return manifest.digest
     folder = store.private_folder()
-    for entry in entries:
-        target = folder / below / entry.path
+    for place, path in files.items():
+        target = folder / place
         target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(root / entry.path, target)
+        shutil.copyfile(path, target)
     return store.put(folder, name, metadata)
 
 
 def take_mask_request(store: Store, path: Path) -> Digest:
     """A mask request, read from YAML and checked; ConfigurationError names the file and line."""
     request, _ = load_document(path, MaskRequest)
-    return _take_files(store, "mask-request", MaskRequestArtifact(request=request), path.parent, [], "raw")
+    return _take_files(store, "mask-request", MaskRequestArtifact(request=request), {})
 
 
 def take_artifact(store: Store, path: Path, schema: str) -> Digest:
@@ -69,25 +86,32 @@ def take_artifact(store: Store, path: Path, schema: str) -> Digest:
 
 
 def locate_externals(
-    *, mask: Path | None, prior: Path | None, corpus: Path | None, painted: Path | None = None
-) -> dict[str, Path]:
+    *,
+    mask: Path | None,
+    prior: Path | None,
+    corpus: Path | None,
+    painted: Path | None = None,
+    segmenter: tuple[Path, Path] | None = None,
+) -> dict[str, Given]:
     """External -> what a command line gives for it.
 
     prior: a diffusion-prior artifact, or a diffusers pipeline (`diffusers_pipeline.find_pipeline_folder`).
     """
-    paths = {MASK_REQUEST: mask, PRIOR: prior, CORPUS: corpus, PAINTED: painted}
+    paths: dict[str, Given | None] = {
+        MASK_REQUEST: mask, PRIOR: prior, CORPUS: corpus, PAINTED: painted, SEGMENTER: segmenter,
+    }  # fmt: skip
     if prior is not None and (folder := find_pipeline_folder(prior)) is not None:
         paths |= {PRIOR: None, DIFFUSERS: folder}
     return {external: path for external, path in paths.items() if path is not None}
 
 
-def list_externals(pipeline: Pipeline, paths: Mapping[str, Path]) -> set[str]:
+def list_externals(pipeline: Pipeline, paths: Mapping[str, Given]) -> set[str]:
     """The externals that a run has: the capture, what is given, and the pipeline's defaults."""
     declared = pipeline.spec.spec.externals
     return {"capture", *paths, *(name for name, external in declared.items() if external.default is not None)}
 
 
-def take_externals(store: Store, pipeline: Pipeline, capture: Path, paths: Mapping[str, Path]) -> dict[str, Digest]:
+def take_externals(store: Store, pipeline: Pipeline, capture: Path, paths: Mapping[str, Given]) -> dict[str, Digest]:
     """What a scene's nodes read from outside, by `locate_externals`; for what is not given, the pipeline's default."""
     externals: dict[str, Digest] = {}
     read = {ref for node in pipeline.order for refs in pipeline.references(node).values() for ref in refs}
@@ -98,7 +122,9 @@ def take_externals(store: Store, pipeline: Pipeline, capture: Path, paths: Mappi
     return externals | {"capture": take_capture(store, capture)}  # last: it may take long
 
 
-def _take(store: Store, external: str, path: Path, schema: str) -> Digest:
+def _take(store: Store, external: str, path: Given, schema: str) -> Digest:
+    if isinstance(path, tuple):
+        return take_segmenter(store, *path)
     if external == MASK_REQUEST:
         return take_mask_request(store, path)
     if external == PAINTED:

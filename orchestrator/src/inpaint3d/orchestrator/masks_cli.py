@@ -1,5 +1,6 @@
 """`inpaint3d masks`: a page on which a person points at what is to go."""
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from inpaint3d.contracts.errors import BadInputError, InterruptedRun
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
 from inpaint3d.contracts.kit.confine import select_environment
 from inpaint3d.contracts.kit.shim import thread_environment
 from inpaint3d.contracts.models.base import Digest
@@ -17,8 +18,8 @@ from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import saved_mask
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.intake import name_run
-from inpaint3d.orchestrator.options import Name, Places, Request, with_options
+from inpaint3d.orchestrator.intake import name_run, take_segmenter
+from inpaint3d.orchestrator.options import Name, Places, Request, Segmenter, with_options
 from inpaint3d.orchestrator.plan import Selection
 from inpaint3d.orchestrator.progress import choose_display
 from inpaint3d.orchestrator.request import ConfiguredRequest
@@ -50,25 +51,39 @@ def edit(
     capture: Annotated[str, typer.Argument(help="name of a run, or the capture that it is of")],
     places: Places,
     name: Name = None,
+    segmenter: Segmenter = None,
     port: Annotated[int, typer.Option(help="of this machine; default: any that is free")] = 0,
 ) -> None:
     """Serve a page on which a person points at what is to go, and sees the masks in every view; until Ctrl-C.
 
     Before a run has cameras and a field, masks are shown on the picture pointed at. What is saved is the mask request
-    of the next `run` of the name.
+    of the next `run` of the name. The page is a process of this environment, also where stages run in containers.
     """
+    check_installed(STAGE)
     store = open_store(places.store)
     with store.shared():
+        network = take_segmenter(store, *segmenter) if segmenter else None
         record = _find_run(store, capture, places, name)
         outputs = {node.node: node.outputs for node in record.nodes}
         shown = {option: outputs.get(node, {}).get(output) for option, (node, output) in SHOWN.items()}
         if shown["capture"] is None:
             why = next((f": {node.error}" for node in record.nodes if node.error), "")
             raise BadInputError(f"{record.name} has no pictures yet{why}; `inpaint3d run` it first")
-        then = saved_mask.command_to_run(record.name, capture if Path(capture).exists() else "PHOTOS", places)
+        photos = capture if Path(capture).exists() else "PHOTOS"
+        then = saved_mask.command_to_run(record.name, photos, places, segmenter)
         target = str(saved_mask.path_of(places.runs_dir / record.name))
-        code = _serve(store, shown, ["--save", target, "--title", record.name, "--then", then, "--port", str(port)])
+        options = ["--save", target, "--title", record.name, "--then", then, "--port", str(port)]
+        code = _serve(store, shown | {"segmenter": network}, options)
     raise typer.Exit(code)
+
+
+def check_installed(module: str) -> None:
+    """ConfigurationError where the stage is in images alone: a container has no network for a page."""
+    if importlib.util.find_spec(module) is None:
+        raise ConfigurationError(
+            f"the page is served by {module}, which is not installed in this environment ({sys.prefix}): containers "
+            "have no network to serve it from; run `make install`, or `uv sync --all-packages`, here"
+        )
 
 
 def _find_run(store: Store, capture: str, places: Places, name: str | None) -> RunRecord:
@@ -86,10 +101,15 @@ def _find_run(store: Store, capture: str, places: Places, name: str | None) -> R
         return Scheduler(planner, selection, choose_display("auto", planner.pipeline.order), folder).run()
 
 
+def command_of_page(store: str, shown: Mapping[str, Digest | None], options: list[str]) -> list[str]:
+    """The stage's command `edit`, in this environment."""
+    line = [sys.executable, "-m", STAGE, "edit", "--store", store, "--die-with-parent", *options]
+    return line + [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
+
+
 def _serve(store: Store, shown: Mapping[str, Digest | None], options: list[str]) -> int:
     """The stage's own process, until it ends; its exit code."""
-    line = [sys.executable, "-m", STAGE, "edit", "--store", store.place, "--die-with-parent", *options]
-    line += [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
+    line = command_of_page(store.place, shown, options)
     process = subprocess.Popen(line, env=select_environment(os.environ) | thread_environment(THREADS))
     try:
         return process.wait()

@@ -83,6 +83,13 @@ TargetPsnr = Annotated[
 StudyPath = Annotated[
     Path | None, typer.Option("--study", help="points.json of a study; default: the one that comes with the pipeline")
 ]
+Segmenter = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        metavar="ENCODER DECODER",
+        help="two ONNX files of the Segment Anything family, which cut out what is pointed at; default: GrabCut",
+    ),
+]
 Wait = Annotated[bool, typer.Option("--wait", help="wait for another run of the same name to end")]
 Replace = Annotated[bool, typer.Option("--replace", help="take over a name whose last run was of another capture")]
 AcceptDoubtful = Annotated[
@@ -115,6 +122,7 @@ class Request:
     mask: Path | None = None
     compare: bool = False
     painted: Path | None = None
+    segmenter: tuple[Path, Path] | None = None
     want: list[str] | None = None
 
 
@@ -125,6 +133,7 @@ class SceneRequest(Request):
     mask: Mask = None
     compare: Compare = False
     painted: Painted = None
+    segmenter: Segmenter = None
     want: Want = None
 
 

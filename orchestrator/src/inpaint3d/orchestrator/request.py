@@ -17,6 +17,8 @@ from inpaint3d.orchestrator.intake import (
     MASK_REQUEST,
     PAINTED,
     PRIOR,
+    SEGMENTER,
+    Given,
     list_externals,
     locate_externals,
     name_run,
@@ -26,7 +28,10 @@ from inpaint3d.orchestrator.options import Request
 from inpaint3d.orchestrator.parameters import parse_overrides
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline
 
-OPTIONS = {MASK_REQUEST: "--mask", PRIOR: "--prior", DIFFUSERS: "--prior", CORPUS: "--corpus", PAINTED: "--painted"}
+OPTIONS = {
+    MASK_REQUEST: "--mask", PRIOR: "--prior", DIFFUSERS: "--prior", CORPUS: "--corpus", PAINTED: "--painted",
+    SEGMENTER: "--segmenter",
+}  # fmt: skip
 
 
 class ConfiguredRequest:
@@ -42,7 +47,11 @@ class ConfiguredRequest:
             parse_overrides(self.whole.under(preset), request.assignments or []),
         )
         self.paths = locate_externals(
-            mask=request.mask, prior=request.prior, corpus=request.corpus, painted=request.painted
+            mask=request.mask,
+            prior=request.prior,
+            corpus=request.corpus,
+            painted=request.painted,
+            segmenter=request.segmenter,
         )
         if unknown := [node for node in request.want or () if node not in self.whole.order]:
             raise ConfigurationError(
@@ -52,7 +61,7 @@ class ConfiguredRequest:
             self.whole,
             Settings(preset, self.overrides, request.compare, request.seed, (*selection.named, *(request.want or ()))),
             list_externals(self.whole, self.paths),
-            {external: f"{OPTIONS[external]} {path}" for external, path in self.paths.items()},
+            {external: _spell(external, given) for external, given in self.paths.items()},
         )
         selection.nodes(self.pipeline.pipeline)
 
@@ -75,3 +84,8 @@ class ConfiguredRequest:
             stub=self.request.stub,
             images=images,
         )
+
+
+def _spell(external: str, given: Given) -> str:
+    """As the command line has it."""
+    return " ".join(map(str, (OPTIONS[external], *(given if isinstance(given, tuple) else (given,)))))

@@ -25,9 +25,10 @@ def command_to_edit(name: str, places: Places) -> str:
     return shlex.join(["inpaint3d", "masks", "edit", name, *_list_options(places)])
 
 
-def command_to_run(name: str, capture: str, places: Places) -> str:
-    """The command that goes on with what was saved."""
-    return shlex.join(["inpaint3d", "run", capture, "--name", name, *_list_options(places)])
+def command_to_run(name: str, capture: str, places: Places, segmenter: tuple[Path, Path] | None) -> str:
+    """The command that goes on with what was saved, and finds objects as the page did."""
+    asked = ["--segmenter", *map(str, segmenter)] if segmenter else []
+    return shlex.join(["inpaint3d", "run", capture, "--name", name, *asked, *_list_options(places)])
 
 
 def _list_options(places: Places) -> list[str]:

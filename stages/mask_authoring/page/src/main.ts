@@ -41,11 +41,12 @@ class Page {
   }
 
   private begin(): void {
-    const { title, missing, saved, problem } = this.scene;
+    const { title, missing, finder, saved, problem } = this.scene;
     byId("title").textContent = title;
     document.title = `Masks: ${title}`;
     byId("missing").hidden = missing === null;
     byId("missing").textContent = missing ?? "";
+    byId("finder").textContent = finder;
     this.choose("add");
     if (saved !== null) {
       const items = fromRequest(saved, this.sizes);

@@ -8,6 +8,7 @@ export interface Scene {
   title: string;
   frames: { name: string; size: Size }[];
   missing: string | null;
+  finder: string;
   saved: MaskRequest | null;
   problem: string | null;
   file: string;

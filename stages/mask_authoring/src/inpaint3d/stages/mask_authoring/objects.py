@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,7 +33,7 @@ SPECKS = 0.02  # parts of an object's mask below this share of its largest are e
 def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: Config, ctx: Context) -> Authored:
     """Cut out where it was pointed at, carried to the other views with depth, held together by a voxel hull."""
     small = scene.small(config.segment_size)
-    planes = find_planes(scene.points, small)
+    planes = find_planes(scene.points, small) if scene.planes is None else scene.planes
     found = {
         find_view(scene.views, prompts.view): segment_prompted(prompts, scene, config, ctx, planes)
         for prompts in request.prompts
@@ -47,7 +48,7 @@ def author_object(request: ObjectRequest, scene: Scene, dilate: float, config: C
     ]
     return Authored(
         origin="object",
-        method=describe(request, refine=config.refine),
+        method=describe(request, scene, refine=config.refine),
         masks=[finish(m, dilate) for m in outlined],
         truth_masks=[
             finish(remove_specks(splat(v, hull, config.depth_tolerance), SPECKS), dilate) for v in scene.truth
@@ -63,12 +64,7 @@ def segment_prompted(
     planes: of the scene; those that are not pointed at, and reach far beyond what is, are no part of the object.
     Raises ConfigurationError where nothing is found, or all of the view.
     """
-    source = find_view(scene.views, prompts.view)
-    (small,) = Scene([scene.views[source]], [scene.depth_views[source]], [], scene.ordered).small(config.segment_size)
-    camera = scene.views[source].camera
-    given = object_prompts(prompts, camera)
-    scaled = given.scaled(np.array([small.camera.width / camera.width, small.camera.height / camera.height]))
-    found = segment(small, scaled, config.grabcut_rounds, ctx.seed, planes)
+    found = cut_out(prompts, scene, config.segment_size, config, ctx.seed, planes)
     if not found.any():
         raise ConfigurationError(
             f"mask request: nothing was found at the points in view {prompts.view!r}; give more points on the object, "
@@ -76,6 +72,22 @@ def segment_prompted(
         )
     check_room_around(found, prompts.view)
     return found
+
+
+def cut_out(
+    prompts: ObjectPrompts, scene: Scene, longest: int, config: Config, seed: int, planes: Sequence[Plane] = ()
+) -> Bools:
+    """What was pointed at, as it is found on that view alone -> bool [h, w], at most `longest` pixels long."""
+    source = find_view(scene.views, prompts.view)
+    (small,) = Scene([scene.views[source]], [scene.depth_views[source]], [], scene.ordered).small(longest)
+    camera = scene.views[source].camera
+    given = object_prompts(prompts, camera)
+    size = (small.camera.width, small.camera.height)
+    if scene.segmenter is not None:
+        found = scene.segmenter.segment(scene.views[source], given)
+        return cv2.resize(found.astype(np.float32), size, interpolation=cv2.INTER_AREA) >= 0.5
+    scaled = given.scaled(np.array(size) / (camera.width, camera.height))
+    return segment(small, scaled, config.grabcut_rounds, seed, planes)
 
 
 def check_room_around(found: Bools, view: str) -> None:
@@ -97,7 +109,7 @@ def outline(view: DepthView, carried: Bools, hull: Cloud, config: Config, seed: 
     return refine_edges(view, agreed if agreed.any() else own, own | held, config.edge_rounds, seed)
 
 
-def describe(request: ObjectRequest, *, refine: bool) -> str:
+def describe(request: ObjectRequest, scene: Scene, *, refine: bool) -> str:
     """How the masks are made, for the set's `method`."""
     given: Mapping[str, bool] = {
         "points": any(p.points for p in request.prompts),
@@ -105,8 +117,10 @@ def describe(request: ObjectRequest, *, refine: bool) -> str:
     }
     seeds = " and ".join(name for name, there in given.items() if there)
     views = ", ".join(p.view for p in request.prompts)
-    refined = ", segmented again in each view" if refine else ""
+    found = f"{scene.segmenter.name} asked by" if scene.segmenter else "GrabCut on colour and depth seeded by"
+    again = "segmented again" if scene.segmenter is None else "segmented by GrabCut"
+    refined = f", {again} in each view" if refine else ""
     return (
-        f"GrabCut on colour and depth seeded by {seeds} in {views}, reprojected with field depth and z-test{refined}, "
+        f"{found} {seeds} in {views}, reprojected with field depth and z-test{refined}, "
         "made consistent by a voxel hull, outlined by colour"
     )

@@ -1,6 +1,7 @@
 """Author masks: a volume, an object, a scribble, or masks that came with the capture; one mask for every view."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 
@@ -12,6 +13,7 @@ from inpaint3d.contracts.models.artifacts import (
     PosedCapture,
     PosedTruth,
     RadianceFieldArtifact,
+    Segmenter,
 )
 from inpaint3d.contracts.models.artifacts.masks import ImportedRequest
 from inpaint3d.scene.capture_io import View
@@ -21,6 +23,7 @@ from inpaint3d.stages.mask_authoring.authored import Authored, Names, write_mask
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.consistency import Agreement, measure_agreement
 from inpaint3d.stages.mask_authoring.requests import example_request
+from inpaint3d.stages.mask_authoring.sam import load_segmenter
 from inpaint3d.stages.mask_authoring.scene import load_scene
 from inpaint3d.stages.mask_authoring.unseen import find_unseen
 
@@ -33,6 +36,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     posed = inputs.one("posed-capture", PosedCapture)
     field = inputs.one("radiance-field", RadianceFieldArtifact)
     scene = load_scene(posed, field, inputs.optional("posed-truth", PosedTruth))
+    if network := inputs.optional("segmenter", Segmenter):
+        scene = replace(scene, segmenter=load_segmenter(network, ctx.threads))
     asked = inputs.optional("mask-request", MaskRequestArtifact)
     request = asked.metadata.request if asked else request_by_default(scene.views)
     authored = author(request.mask, scene, request.dilate, config, ctx)

@@ -1,5 +1,6 @@
 """What masks are authored on."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.models.artifacts import PosedCapture, PosedTruth, RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.capture_io import View, load_points
+from inpaint3d.scene.planes import Plane
+from inpaint3d.stages.mask_authoring.sam import SegmentAnything
 from inpaint3d.stages.mask_authoring.truth import truth_views
 from inpaint3d.stages.mask_authoring.views import DepthView, load_depth_views
 
@@ -22,6 +25,11 @@ class Scene:
     ordered: bool
     points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     """Sparse points [n, 3], scene units: where the scene is flat. Without them no wall and no floor is known."""
+    segmenter: SegmentAnything | None = None
+    """What cuts an object out where it is pointed at; None: GrabCut."""
+
+    planes: Sequence[Plane] | None = None
+    """Of the sparse points, where they have been found already; they depend on no request."""
 
     def small(self, longest: int) -> list[DepthView]:
         """The views with pictures of at most `longest` pixels."""

@@ -13,7 +13,13 @@ from inpaint3d.contracts.models.artifacts.completion import (
     Painting,
 )
 from inpaint3d.contracts.models.artifacts.effects import Effect, EffectPlan, IgnoredFrame, Interval
-from inpaint3d.contracts.models.artifacts.external import DiffusersPipeline, ImageCorpus, MaskRequestArtifact, Source
+from inpaint3d.contracts.models.artifacts.external import (
+    DiffusersPipeline,
+    ImageCorpus,
+    MaskRequestArtifact,
+    Segmenter,
+    Source,
+)
 from inpaint3d.contracts.models.artifacts.field import FieldSpec, FieldView, GridSpec, RadianceFieldArtifact
 from inpaint3d.contracts.models.artifacts.mask_sets import MaskSet, MaskView, NamedMask, Primitive, ViewOrder
 from inpaint3d.contracts.models.artifacts.masks import MaskRequest
@@ -42,6 +48,7 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "mask-request": ("1.0", MaskRequestArtifact),
     "image-corpus": ("1.0", ImageCorpus),
     "diffusers-pipeline": ("1.0", DiffusersPipeline),
+    "segmenter": ("1.0", Segmenter),
     "capture": ("1.0", Capture),
     "truth": ("1.0", Truth),
     "posed-capture": ("1.0", PosedCapture),
@@ -103,6 +110,7 @@ __all__ = [
     "Protocol",
     "RadianceFieldArtifact",
     "Registration",
+    "Segmenter",
     "Source",
     "Truth",
     "UsdScene",

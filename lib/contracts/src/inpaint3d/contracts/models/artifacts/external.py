@@ -1,4 +1,4 @@
-"""What enters the pipeline from outside: raw folders and a mask request, taken into the store as artifacts."""
+"""What enters the pipeline from outside: folders, a mask request, networks, taken into the store as artifacts."""
 
 from typing import Literal
 
@@ -37,3 +37,16 @@ class DiffusersPipeline(Closed):
     """Somebody else's inpainting model: a pipeline as the diffusers library saves it, under `pipeline/`."""
 
     kind: str = Field(description="the pipeline's class, as its model_index.json names it")
+
+
+class Segmenter(Closed):
+    """A network that finds what is pointed at on a picture, of the Segment Anything family, as two ONNX files.
+
+    Weights that lie beside them in files of their own (ONNX's external data) lie there under their own names.
+    """
+
+    family: Literal["sam", "sam2", "efficient-sam"] = Field(
+        description="what it is asked as, told from its files' inputs and outputs; MobileSAM is asked as sam"
+    )
+    encoder: RelativePath = Field(default="encoder/network.onnx", description="picture -> embedding")
+    decoder: RelativePath = Field(default="decoder/network.onnx", description="embedding and points -> masks, scores")

@@ -16,6 +16,7 @@ from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import MaskRequest
 from inpaint3d.contracts.models.artifacts.masks import ObjectRequest
+from inpaint3d.scene.planes import Plane
 from inpaint3d.stages.mask_authoring.author import author
 from inpaint3d.stages.mask_authoring.authored import Authored
 from inpaint3d.stages.mask_authoring.config import Config
@@ -24,6 +25,7 @@ from inpaint3d.stages.mask_authoring.page.masks import Outline, trace_outline
 from inpaint3d.stages.mask_authoring.page.pictures import Subject
 from inpaint3d.stages.mask_authoring.requests import find_view
 from inpaint3d.stages.mask_authoring.scene import Scene
+from inpaint3d.stages.mask_authoring.surroundings import find_planes
 from inpaint3d.stages.mask_authoring.views import camera_distances
 
 NEAREST = 8
@@ -58,6 +60,7 @@ class Carrier(threading.Thread):
         self._wake = threading.Condition()
         self._asked: MaskRequest | None = None
         self._running: Context | None = None
+        self._planes: Sequence[Plane] | None = None
         self._state = Carried()
         self._closed = False
 
@@ -123,7 +126,7 @@ class Carrier(threading.Thread):
         return [sorted(np.argsort(apart, kind="stable")[:count].tolist()), everything]
 
     def _author(self, number: int, request: MaskRequest, chosen: Sequence[int]) -> dict[str, Any]:
-        scene = self._subject.scene
+        scene = self._find_scene()
         views, depth_views = [scene.views[i] for i in chosen], [scene.depth_views[i] for i in chosen]
         some = replace(scene, views=views, depth_views=depth_views)
         with self._open_context(number) as ctx:
@@ -138,6 +141,13 @@ class Carrier(threading.Thread):
         }
         agreement = self._measure(some, authored)
         return shown | {"consistency": agreement.set, "to_check": agreement.to_check(names)} if agreement else shown
+
+    def _find_scene(self) -> Scene:
+        """All views, with the planes of the scene, which are found once for all requests and passes."""
+        scene = self._subject.scene
+        if self._planes is None:
+            self._planes = find_planes(scene.points, scene.small(self._config.segment_size))
+        return replace(scene, planes=self._planes)
 
     def _measure(self, scene: Scene, authored: Authored) -> Agreement | None:
         """Of masks that have been carried to all views; volumes agree by construction."""

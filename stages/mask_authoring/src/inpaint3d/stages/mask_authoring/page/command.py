@@ -13,11 +13,12 @@ import cv2
 from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun, from_os_error
 from inpaint3d.contracts.kit.confine import confine, die_with_parent
 from inpaint3d.contracts.kit.page_server import PageServer
-from inpaint3d.contracts.models.artifacts import Capture, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import Capture, PosedCapture, RadianceFieldArtifact, Segmenter
 from inpaint3d.contracts.store import Artifact, open_store
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.editor import Editor
 from inpaint3d.stages.mask_authoring.page.pictures import open_subject
+from inpaint3d.stages.mask_authoring.sam import load_segmenter
 
 THREADS = 1  # what the stage itself has, so that the page shows the masks that it will make
 
@@ -42,6 +43,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--capture", required=True, help="digest of the capture")
     parser.add_argument("--posed-capture", help="digest; without one pictures are shown as they are")
     parser.add_argument("--radiance-field", help="digest; without one masks are not carried")
+    parser.add_argument("--segmenter", help="digest; without one GrabCut finds what is pointed at")
     parser.add_argument("--save", type=Path, required=True, help="file for the mask request")
     parser.add_argument("--title", default="", help="what is edited")
     parser.add_argument("--then", default="", help="the command that goes on with what was saved")
@@ -61,10 +63,12 @@ def _serve(options: argparse.Namespace) -> None:
     def open_optional(digest: str | None, model: Any) -> Artifact[Any] | None:
         return store.open(digest, model) if digest else None
 
+    segmenter = open_optional(options.segmenter, Segmenter)
     subject = open_subject(
         store.open(options.capture, Capture),
         open_optional(options.posed_capture, PosedCapture),
         open_optional(options.radiance_field, RadianceFieldArtifact),
+        load_segmenter(segmenter, THREADS) if segmenter else None,
     )
     editor = Editor(options.title, subject, options.save, options.then, Config())
     with contextlib.closing(editor), PageServer(editor.get, editor.post, options.port) as server:

@@ -22,6 +22,7 @@ from inpaint3d.stages.mask_authoring.page.masks import check_request, mask_at_on
 from inpaint3d.stages.mask_authoring.page.pictures import PICTURE_SIDE, THUMBNAIL_SIDE, Subject
 from inpaint3d.stages.mask_authoring.page.saving import read_request, write_request
 
+GRABCUT = "GrabCut"  # what finds objects where no network was named
 PACKAGE = "inpaint3d.stages.mask_authoring.page"
 BUNDLE = ("index.html", "page.js", "page.css", "icon.svg")
 KEPT_PICTURES = 64
@@ -95,14 +96,15 @@ class Editor:
             {"name": name, "size": self._subject.picture_size(index)}
             for index, name in enumerate(self._subject.names())
         ]
-        saved, problem = None, None
+        saved, problem, segmenter = None, None, self._subject.scene.segmenter
         try:
             request = read_request(self._saved)
             saved = request.model_dump(mode="json") if request else None
         except ConfigurationError as error:
             problem = str(error)
         return {
-            "title": self._title, "frames": frames, "missing": self._subject.missing, "saved": saved,
+            "title": self._title, "frames": frames, "missing": self._subject.missing,
+            "finder": segmenter.name if segmenter else GRABCUT, "saved": saved,
             "problem": problem, "file": str(self._saved), "then": self._then,
         }  # fmt: skip
 

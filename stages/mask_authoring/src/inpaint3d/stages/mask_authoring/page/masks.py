@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.models.artifacts.masks import (
     BoxRequest,
     ImportedRequest,
-    ObjectPrompts,
     ObjectRequest,
     OutpaintRequest,
     ScribbleRequest,
@@ -19,18 +18,18 @@ from inpaint3d.contracts.models.artifacts.masks import (
 from inpaint3d.scene.volumes import volume_mask
 from inpaint3d.stages.mask_authoring.author import Request
 from inpaint3d.stages.mask_authoring.config import Config
+from inpaint3d.stages.mask_authoring.objects import cut_out
 from inpaint3d.stages.mask_authoring.page.pictures import Subject, fit_size
 from inpaint3d.stages.mask_authoring.requests import find_view, object_prompts, scribble_path, surface_pixel
 from inpaint3d.stages.mask_authoring.scene import Scene
 from inpaint3d.stages.mask_authoring.scribble import draw
-from inpaint3d.stages.mask_authoring.segment import segment
 from inpaint3d.stages.mask_authoring.volumes import place
 
 Bools = NDArray[np.bool_]
 Outline = list[list[float]]
 """Closed polygons, each x0, y0, x1, y1, ... in pixels of the page's picture; what an odd number of them hold is in."""
 
-AT_ONCE_SIDE = 192  # pixels; what is shown at once is cut out on a smaller picture than what is carried
+AT_ONCE_SIDE = 192  # pixels; what GrabCut shows at once is cut out on a smaller picture than what is carried
 SMOOTH_SIDE = 640  # pixels; masks are enlarged to this before their outline is taken
 SIMPLER = 0.6  # pixels of that size by which an outline may differ from the mask's
 
@@ -45,7 +44,8 @@ def mask_at_once(request: Request, subject: Subject, view: str, config: Config, 
     match request:
         case ObjectRequest():
             given = next((prompts for prompts in request.prompts if prompts.view == view), None)
-            return None if given is None else _cut_out(given, scene, config, seed)
+            longest = AT_ONCE_SIDE if scene.segmenter is None else SMOOTH_SIDE
+            return None if given is None else cut_out(given, scene, longest, config, seed)
         case ScribbleRequest():
             return _draw(request, scene, seed) if request.view == view else None
         case SphereRequest() | BoxRequest() | OutpaintRequest():
@@ -84,14 +84,6 @@ def trace_outline(mask: Bools, width: int, height: int) -> Outline:
     scale = np.array([width / size[0], height / size[1]])
     simple = (cv2.approxPolyDP(contour, SIMPLER, True)[:, 0] for contour in contours)
     return [[round(float(v), 1) for v in ((points + 0.5) * scale).ravel()] for points in simple if len(points) > 2]
-
-
-def _cut_out(prompts: ObjectPrompts, scene: Scene, config: Config, seed: int) -> Bools:
-    source = find_view(scene.views, prompts.view)
-    camera, view = scene.views[source].camera, scene.depth_views[source]
-    small = view.resized(*fit_size(view.camera.width, view.camera.height, AT_ONCE_SIDE))
-    factor = np.array([small.camera.width / camera.width, small.camera.height / camera.height])
-    return segment(small, object_prompts(prompts, camera).scaled(factor), config.grabcut_rounds, seed)
 
 
 def _draw(request: ScribbleRequest, scene: Scene, seed: int) -> Bools:

@@ -12,6 +12,7 @@ from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View, load_posed
 from inpaint3d.scene.colour import to_bytes
 from inpaint3d.scene.image_io import Image
+from inpaint3d.stages.mask_authoring.sam import SegmentAnything
 from inpaint3d.stages.mask_authoring.scene import Scene, load_scene
 from inpaint3d.stages.mask_authoring.views import DepthView
 
@@ -55,16 +56,23 @@ def fit_size(width: int, height: int, longest: int) -> tuple[int, int]:
 
 
 def open_subject(
-    capture: Artifact[Capture], posed: Artifact[PosedCapture] | None, field: Artifact[RadianceFieldArtifact] | None
+    capture: Artifact[Capture],
+    posed: Artifact[PosedCapture] | None,
+    field: Artifact[RadianceFieldArtifact] | None,
+    segmenter: SegmentAnything | None = None,
 ) -> Subject:
-    """The views with cameras and depth where these are there; else those with cameras, else the pictures alone."""
+    """The views with cameras and depth where these are there; else those with cameras, else the pictures alone.
+
+    segmenter: what cuts an object out where it is pointed at; None: GrabCut.
+    """
     if posed is not None and field is not None:
         scene, missing = load_scene(posed, field), None
     elif posed is not None:
         scene, missing = _without_depth(load_posed(posed), ordered=posed.metadata.ordered), NO_FIELD
     else:
         scene, missing = _without_depth(_pictures_alone(capture), ordered=capture.metadata.ordered), NO_CAMERAS
-    return Subject(replace(scene, depth_views=[_keep_small(view) for view in scene.depth_views]), missing)
+    small = [_keep_small(view) for view in scene.depth_views]
+    return Subject(replace(scene, depth_views=small, segmenter=segmenter), missing)
 
 
 def _without_depth(views: list[View], *, ordered: bool) -> Scene:
