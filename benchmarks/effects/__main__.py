@@ -1,6 +1,6 @@
 """Are effects decided right, and does it pay? Captures of `captures.py`, fields of `fields.py`.
 
-python -m benchmarks.effects [--only EFFECT] [--steps N]     fits, goes on where it was stopped, writes the figures
+python -m benchmarks.effects [--only EFFECT] [--own] [--steps N]    fits, goes on where it was stopped, writes figures
 """
 
 import argparse
@@ -27,8 +27,9 @@ Row = dict[str, Any]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=EFFECTS, help="captures of one effect")
-    parser.add_argument("--steps", type=int, default=150, help="of each fit")
-    parser.add_argument("--rays", type=int, default=256, help="of each step")
+    parser.add_argument("--own", action="store_true", help="fields with all effects, and with those decided, later")
+    parser.add_argument("--steps", type=int, default=200, help="of each fit")
+    parser.add_argument("--rays", type=int, default=128, help="of each step")
     parser.add_argument("--cache", type=Path, default=CACHE, help="where captures are kept")
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args()
@@ -37,7 +38,7 @@ def main() -> None:
     rows: dict[str, Row] = found.get("captures", {}) if found.get("settings") == settings else {}
     recipes = [r for r in list_recipes() if given.only in (None, r.effect)]
     # First what decides who is right, for all captures; then what all effects together cost.
-    for recipe, whole in [*((r, False) for r in recipes), *((r, True) for r in recipes)]:
+    for recipe, whole in [*((r, False) for r in recipes), *((r, True) for r in recipes if not given.own)]:
         made = make(recipe, given.cache / recipe.name)
         row = rows.setdefault(recipe.name, {"effect": recipe.effect, "strength": recipe.strength, "scores": {}})
         with tempfile.TemporaryDirectory() as scratch:

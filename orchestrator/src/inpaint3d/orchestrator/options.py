@@ -111,7 +111,7 @@ class Request:
 
     preset: Preset = None
     assignments: Set = None
-    effects: Effects = None
+    effect: Effects = None
     prior: Prior = None
     corpus: Corpus = None
     seed: Seed = 0

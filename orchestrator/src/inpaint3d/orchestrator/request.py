@@ -43,7 +43,7 @@ class ConfiguredRequest:
         preset = request.preset or self.whole.spec.spec.defaultPreset
         self.overrides = switch_effects(
             self.whole.under(preset),
-            request.effects or [],
+            request.effect or [],
             parse_overrides(self.whole.under(preset), request.assignments or []),
         )
         self.paths = locate_externals(

@@ -15,6 +15,7 @@ from inpaint3d.stages.pose_estimation.features import silence_pycolmap
 # Principal points are estimated with the richer models only: alone they trade off against the poses.
 CANDIDATES = (("PINHOLE", False), ("SIMPLE_RADIAL", False), ("SIMPLE_RADIAL", True), ("OPENCV", True))
 ENOUGH = 0.01  # share of the error that a richer model has to take away
+ROUNDING_PX = 1e-6
 # COLMAP's parameter orders: where k1 is found in each model that has it.
 FIRST_RADIAL = {"SIMPLE_RADIAL": 3, "RADIAL": 3, "OPENCV": 4}
 EXTRA = {"PINHOLE": 0, "SIMPLE_RADIAL": 1, "RADIAL": 2, "OPENCV": 4}
@@ -77,7 +78,7 @@ def describe_given(cameras: Iterable[pycolmap.Camera]) -> Effect:
     corner = max(measure_corner(camera) for camera in cameras)
     return Effect(
         name=lens_distortion.EFFECT.name,
-        state="on" if corner > 0 else "off",
+        state="on" if corner > ROUNDING_PX else "off",
         evidence={"corner_px": corner},
         reason=f"came with the capture; moves the picture's corner by {corner:.2f} px",
         simulated_by=lens_distortion.EFFECT.simulated_by,
