@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any
 
 Row = dict[str, Any]
-WORTH_DB = 0.1
+WORTH_DB = 0.2
 """An effect is called for where switching it on shows clean held-out views better by more."""
 MISSED_DB = 0.5
 
