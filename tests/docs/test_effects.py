@@ -30,7 +30,7 @@ def build_parts() -> dict[str, str]:
 def write_row(effect: Description) -> str:
     """A row of the table."""
     beyond = f"{effect.material:g} {effect.unit}" if effect.unit else f"by `{effect.parameter}`"
-    if effect.least_gain:
+    if effect.least_gain > 0:
         beyond += f"; {effect.least_gain:.0%} explained"
     what = f"`{effect.name}`: {effect.what}"
     return f"| {what} | {effect.evidence} | {effect.off_means} | {beyond} | {DECIDED_IN[effect.name]} |"
