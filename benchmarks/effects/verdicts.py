@@ -1,10 +1,10 @@
-"""Decisions against what was measured: confusion, thresholds on one half of the captures, what auto costs and saves."""
+"""Decisions against what was measured: confusion by halves of the captures, what auto costs and saves."""
 
 from collections.abc import Iterable
 from typing import Any
 
 Row = dict[str, Any]
-WORTH_DB = 0.1
+WORTH_DB = 0.2
 """An effect is called for where switching it on shows clean held-out views better by more."""
 MISSED_DB = 0.5
 
@@ -22,7 +22,7 @@ def gain_db(row: Row) -> float:
 def judge(rows: dict[str, Row]) -> Row:
     """Confusion of each half and of all, by effect; auto against all on and all off."""
     whole = {name: row for name, row in rows.items() if row["effect"] in row["scores"] and "" in row["scores"]}
-    halves = {"chosen on": list(whole.values())[::2], "held out": list(whole.values())[1::2]}
+    halves = {"first half": list(whole.values())[::2], "second half": list(whole.values())[1::2]}
     return {
         "confusion": {half: confuse(some) for half, some in halves.items()},
         "by_effect": {

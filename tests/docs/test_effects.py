@@ -1,13 +1,17 @@
 """docs/effects.md is what the effects' modules say; `python -m tests.docs.test_effects` writes its tables anew."""
 
 import importlib
+import json
 import re
 from pathlib import Path
+
+from benchmarks.effects.verdicts import WORTH_DB
 
 from inpaint3d.scene.effects import DECIDED_IN, load
 from inpaint3d.scene.effects.description import Description
 
 PAGE = Path(__file__).parents[2] / "docs/effects.md"
+RESULTS = PAGE.parents[1] / "benchmarks/results/effects.json"
 HEAD = ["| effect | evidence | off means | on beyond | decided in |", "|---|---|---|---|---|"]
 
 
@@ -18,6 +22,7 @@ def build_parts() -> dict[str, str]:
     noticed = [f"- `{e.name}`: {e.what}. Noticed by: {e.evidence}." for e in found if e.simulated_by is None]
     return {
         "effects": "\n" + "\n".join([*HEAD, *rows]) + "\n",
+        "measured": "\n" + "\n".join(write_measured()) + "\n",
         "not-modelled": "\n" + "\n".join(["Noticed, and not simulated:", "", *noticed]) + "\n",
     }
 
@@ -25,10 +30,30 @@ def build_parts() -> dict[str, str]:
 def write_row(effect: Description) -> str:
     """A row of the table."""
     beyond = f"{effect.material:g} {effect.unit}" if effect.unit else f"by `{effect.parameter}`"
-    if effect.least_gain:
+    if effect.least_gain > 0:
         beyond += f"; {effect.least_gain:.0%} explained"
     what = f"`{effect.name}`: {effect.what}"
     return f"| {what} | {effect.evidence} | {effect.off_means} | {beyond} | {DECIDED_IN[effect.name]} |"
+
+
+def write_measured() -> list[str]:
+    """Decisions against what fits measured, as far as they were."""
+    found = json.loads(RESULTS.read_text())
+    head = [
+        "| captures with | on, worth it | on, not worth it | off, worth it | off, not worth it |",
+        "|---|---|---|---|---|",
+    ]
+    rows = {**found["by_effect"], **{f"all, {half}": row for half, row in found["confusion"].items()}}
+    counts = ("on_and_worth", "on_not_worth", "off_and_worth", "off_not_worth")
+    table = [f"| {name} | {' | '.join(str(row[count]) for count in counts)} |" for name, row in rows.items()]
+    settings, missed = found["settings"], found["largest_missed_db"]
+    return [
+        f"Fits of {settings['steps']} steps of {settings['rays']} rays; worth it: clean held-out views gain more than "
+        f"{WORTH_DB:g} dB. The most that an effect that was off would have gained: {missed:.2f} dB.",
+        "",
+        *head,
+        *table,
+    ]
 
 
 def fill_in(text: str) -> str:

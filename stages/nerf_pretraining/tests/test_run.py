@@ -17,11 +17,13 @@ from inpaint3d.contracts.kit.shim import Invocation, execute
 from inpaint3d.contracts.models.artifacts import (
     Effect,
     EffectPlan,
+    IgnoredFrame,
     LensModel,
     PosedCapture,
     RadianceFieldArtifact,
     Registration,
 )
+from inpaint3d.contracts.models.canonical import file_digest
 from inpaint3d.contracts.store import Artifact, FolderStore, Record, Store
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
@@ -81,7 +83,7 @@ def posed(store: Store, scene: SyntheticScene, *, test: tuple[int, ...] = TEST_V
 
 def plan(store: Store, *on: str) -> str:
     effects = tuple(
-        Effect(name=name, state="on" if name in on else "off", evidence={}, reason="test")  # pyright: ignore[reportArgumentType]
+        Effect(name=name, state="on" if name in on else "off", evidence={}, reason="test")
         for name in ("contraction", "exposure", "view-dependence")
     )
     return store.put(store.private_folder(), "effect-plan", EffectPlan(effects=effects))
@@ -169,6 +171,18 @@ def test_an_effect_that_is_off_is_absent(store: Store, scene: SyntheticScene, ef
     # without contraction rays end behind the cube that holds the room, not at infinity
     assert (spec.far < 10) == (effect == "contraction")
     assert load_field(result.path("weights.safetensors"), spec).spec == spec
+
+
+def test_a_frame_that_is_left_out_changes_no_weight(store: Store, scene: SyntheticScene) -> None:
+    spoilt = scene.images.copy()
+    spoilt[5] = (1, 0, 1)
+    left_out = EffectPlan(effects=(), ignored=(IgnoredFrame(name=scene.names[5], effect="blur"),))
+    for_all = store.put(store.private_folder(), "effect-plan", left_out)
+    digests = []
+    for images in (scene.images, spoilt):
+        inputs = {"posed-capture": posed(store, replace(scene, images=images)), "effect-plan": for_all}
+        digests.append(file_digest(artifact(store, run(store, inputs, TINY)).path("weights.safetensors")))
+    assert digests[0] == digests[1]
 
 
 def test_stopped_it_goes_on_as_if_nothing_had_happened(store: Store, tmp_path: Path, scene: SyntheticScene) -> None:

@@ -39,7 +39,7 @@ def made_model(k, noise=0.3, points=300, views=8):
 
 @pytest.mark.parametrize(("k", "state", "lens"), [(0.0, "off", "PINHOLE"), (-0.07, "on", "SIMPLE_RADIAL")])
 def test_a_lens_bends_only_where_the_matches_say_so(k, state, lens):
-    choice = choose_lens(made_model(k), "auto", {})
+    choice = choose_lens(made_model(k), "auto")
     assert choice.effect.state == state
     assert next(iter(choice.model.cameras.values())).model_name == lens
     assert choice.why.startswith(lens)
@@ -47,18 +47,18 @@ def test_a_lens_bends_only_where_the_matches_say_so(k, state, lens):
 
 def test_by_hand_a_lens_is_a_pinhole_or_bends_all_the_same():
     bent = made_model(-0.07)
-    off = choose_lens(bent, "auto", {"lens-distortion": False})
+    off = choose_lens(bent, "auto", bends=False)
     assert off.effect.state == "forced-off"
     assert off.effect.gain is not None
     assert off.effect.gain.value > 100  # what was measured is told
     assert next(iter(off.model.cameras.values())).model_name == "PINHOLE"
-    on = choose_lens(made_model(0.0), "auto", {"lens-distortion": True})
+    on = choose_lens(made_model(0.0), "auto", bends=True)
     assert on.effect.state == "forced-on"
 
 
 @pytest.mark.parametrize(("lens", "state"), [("PINHOLE", "forced-off"), ("OPENCV", "forced-on")])
 def test_a_lens_that_is_asked_for_is_taken(lens, state):
-    choice = choose_lens(made_model(-0.07), lens, {})
+    choice = choose_lens(made_model(-0.07), lens)
     assert choice.effect.state == state
     assert next(iter(choice.model.cameras.values())).model_name == lens
 

@@ -1,8 +1,7 @@
 """Which lens model the capture supports: the simplest whose reprojection error is near the richest one's."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import pycolmap
@@ -50,15 +49,14 @@ class Choice:
     effect: Effect
 
 
-def choose_lens(model: pycolmap.Reconstruction, lens: str, forced: Mapping[Literal["lens-distortion"], bool]) -> Choice:
+def choose_lens(model: pycolmap.Reconstruction, lens: str, bends: bool | None = None) -> Choice:
     """A pinhole, unless a lens that bends is worth it; of those the simplest within ENOUGH of the best error.
 
-    lens: a name, or "auto". forced: lens-distortion, where somebody decided it.
+    lens: a name, or "auto". bends: where somebody decided it.
     """
-    by_hand: dict[str, bool] = dict(forced)
     candidates = CANDIDATES
     if lens != "auto":
-        by_hand["lens-distortion"] = lens != "PINHOLE"
+        bends = lens != "PINHOLE"
         candidates = (CANDIDATES[0],) if lens == "PINHOLE" else (CANDIDATES[0], (lens, True))
     trials = [adjust_copy(model, name, centre) for name, centre in candidates]
     pinhole, bent = trials[0], trials[1:] or trials
@@ -66,7 +64,7 @@ def choose_lens(model: pycolmap.Reconstruction, lens: str, forced: Mapping[Liter
     simplest = next(t for t in bent if t.error_px <= best * (1 + ENOUGH))
     # Matches of one point share its error: points are what is independent, each with two coordinates.
     found = lens_distortion.measure(pinhole.described, simplest.described, 2.0 * len(model.points3D))
-    effect = decide(lens_distortion.EFFECT, found, by_hand)
+    effect = decide(lens_distortion.EFFECT, found, {} if bends is None else {lens_distortion.EFFECT.name: bends})
     chosen = simplest if effect.active else pinhole
     measured = "; ".join(f"{t.label} {t.error_px:.3f} px" for t in trials)
     why = "asked for by the parameter `lens`" if lens != "auto" else explain(effect.active)

@@ -136,7 +136,7 @@ def _estimate(capture: Artifact[Capture], config: Config, ctx: Context, work: Pa
         gate.check_estimated(_collect_evidence(None, result.sizes, matched), config)
         raise BadInputError("no model could be made of the photos; take more that overlap")
     ctx.progress(len(matched.order), len(matched.order), "lens")
-    choice = lens.choose_lens(result.model, config.lens, config.force)
+    choice = lens.choose_lens(result.model, config.lens, config.force.get("lens-distortion"))
     model = from_reconstruction(choice.model, matched.order)
     evidence = _collect_evidence(model, result.sizes, matched)
     gate.check_estimated(evidence, config)
