@@ -49,7 +49,7 @@ def run_within(budget: Budget, request: SceneRequest, folder: Path, run: Run) ->
     if code := run(ask_for(request, first), Selection(until=CAMERAS)):
         return code
     pace = _measure_pace(results, request, first, folder, run)
-    alike = [p for p in results.measured if _list_camera_settings(p) == _list_camera_settings(first)]
+    alike = [p for p in results.measured if p.camera_settings == first.camera_settings]
     expected = choose_point(alike, limits, pace)
     _say(describe_expectation(expected, limits, pace))
     began = time.monotonic()
@@ -63,10 +63,6 @@ def ask_for(request: SceneRequest, point: Point, further: Sequence[str] = ()) ->
     """The request under a point's settings; what the command line itself sets comes last, and counts."""
     chosen = [*point.assignments, *further, *(request.assignments or [])]
     return dataclasses.replace(request, preset=point.preset, assignments=chosen)
-
-
-def _list_camera_settings(point: Point) -> list[str]:
-    return [a for a in point.assignments if a.split(".")[0] in AFTER] + [point.preset if not point.knobs else ""]
 
 
 def _measure_pace(results: StudyResults, request: SceneRequest, point: Point, folder: Path, run: Run) -> float:
