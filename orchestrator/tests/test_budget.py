@@ -6,6 +6,7 @@ from inpaint3d.orchestrator.budget.choice import (
     Limits,
     choose_point,
     cut_steps,
+    find_least_steps,
     learn_pace,
     list_costs,
     read_limits,
@@ -93,6 +94,20 @@ def test_stages_that_are_done_cost_nothing_more_and_have_no_steps_left():
 
 def test_no_fit_gets_fewer_than_fifty_steps():
     assert cut_steps({"join": 400, "pretrain": 30}, COSTS, 1.0, 1.0, ()) == {"join": 50, "pretrain": 30}
+
+
+def test_a_fit_that_masks_are_made_of_keeps_the_fewest_steps_that_were_measured():
+    steps = {"nerf-pretraining": 800, "join": 400}
+    commands = [f"run C --set nerf-pretraining.steps={n}" for n in (400, 600)]
+    measured = [POINTS[0].model_copy(update={"command": command}) for command in commands]
+    least = find_least_steps(measured, steps)
+    assert least == {"nerf-pretraining": 400, "join": 50}
+    costs = {"nerf-pretraining": Cost(60, 20), "join": Cost(100, 20)}
+    cut = cut_steps(steps, costs, 120, 1.0, (), least)
+    assert cut["nerf-pretraining"] == 400
+    assert 50 < cut["join"] < 200  # it pays for what the first fit keeps
+    assert 30 + 40 + 100 * cut["join"] / 400 <= 120
+    assert cut_steps(steps, costs, 1, 1.0, (), least) == least
 
 
 @pytest.mark.parametrize(("spent", "pace"), [(180.0, 2.0), (45.0, 1.0), (0.0, 1.0)])

@@ -47,6 +47,12 @@ def test_a_point_ends_early_where_another_was_faster_and_clearly_better(cpu_s, p
     assert is_beaten(point("x", cpu_s, psnr), [point("a", 10, 25.0)], "join", 0.5) is beaten
 
 
+def test_points_of_other_frames_do_not_end_each_other():
+    """Held-out pixels of smaller frames are other pixels, and score higher."""
+    small = point("a", 10, 28.0, command="inpaint3d run C --set pose-estimation.output_longest_side=320")
+    assert not is_beaten(point("x", 20, 24.0), [small], "join", 0.5)
+
+
 def test_every_knob_of_the_study_is_a_parameter_at_both_ends():
     spec = load_study(STUDY)
     pipeline = Pipeline(find_pipeline(None)).under(spec.preset)

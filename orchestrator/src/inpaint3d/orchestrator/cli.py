@@ -124,10 +124,10 @@ def run(
 ) -> None:
     """Run the pipeline over a capture; what is up to date is not run again. Killed, the next run goes on."""
 
-    def run_once(asked: SceneRequest, chosen: Selection) -> int:
+    def run_once(asked: SceneRequest, chosen: Selection, accept: bool) -> int:
         return _run_scenes(
             capture, asked, chosen, environment, places, name=name, scene=scene, engine=engine, log_format=log_format,
-            wait=wait, replace=replace, accept_doubtful=accept_doubtful,
+            wait=wait, replace=replace, accept_doubtful=accept or accept_doubtful,
         )  # fmt: skip
 
     if budget.is_set:
@@ -136,7 +136,7 @@ def run(
         if scene or selection != Selection():
             raise ConfigurationError("a budget is for one whole scene; leave out --scene, --only, --from and --until")
         raise typer.Exit(run_within(budget, request, places.runs_dir / name_run(capture, name), run_once))
-    raise typer.Exit(run_once(request, selection))
+    raise typer.Exit(run_once(request, selection, False))
 
 
 def _run_scenes(

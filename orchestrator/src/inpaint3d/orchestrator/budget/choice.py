@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.orchestrator.study.points import AFTER, Point
+from inpaint3d.orchestrator.study.sweep import PROBED
 
 SPARE = 0.1
 """Share of a time budget that is not planned with: runs of one key differ by as much."""
@@ -106,14 +107,37 @@ def learn_pace(pace: float, costs: Costs, spent: float, done: Collection[str]) -
     return max(pace, spent / planned) if planned else pace
 
 
-def cut_steps(steps: Steps, costs: Costs, seconds: float, pace: float, done: Collection[str]) -> Steps:
-    """The steps that the time leaves the fits that are still to run: all cut by the same share, or none.
+def find_least_steps(points: Sequence[Point], steps: Steps) -> Steps:
+    """The steps that a fit is never cut below: 50, the first fit the fewest that a point was measured with.
 
-    seconds: what is left of the budget. `done` stages cost nothing more. No fit gets fewer than 50 steps: a budget
-    that does not pay for these is overrun.
+    Masks are made of the first one: too poor a field ends the run, where a short fit later on only looks worse.
+    """
+    asked = [dict(a.split("=", 1) for a in p.assignments) for p in points]
+    measured = [int(a[name]) for a in asked if (name := f"{PROBED}.steps") in a]
+    least = {n: min(LEAST_STEPS, s) for n, s in steps.items()}
+    return least | ({PROBED: min(*measured, steps[PROBED])} if PROBED in steps and measured else {})
+
+
+def cut_steps(
+    steps: Steps, costs: Costs, seconds: float, pace: float, done: Collection[str], least: Steps | None = None
+) -> Steps:
+    """The steps that the time leaves the fits that are still to run: all cut by the same share, none below `least`.
+
+    seconds: what is left of the budget. `done` stages cost nothing more. A budget that does not pay for the least steps
+    (50 where nothing is said) is overrun.
     """
     left = {n: c for n, c in costs.items() if n not in done}
-    planned = pace * sum(c.steps_s for n, c in left.items() if n in steps)
-    others = pace * sum(c.rest_s if n in steps else c.seconds for n, c in left.items())
-    share = min(1.0, max(0.0, seconds * (1 - SPARE / 2) - others) / planned) if planned else 1.0
-    return {n: max(min(LEAST_STEPS, steps[n]), int(steps[n] * share)) for n in steps if n in left}
+    floors = {n: min(LEAST_STEPS, s) for n, s in steps.items()} | (least or {})
+    chosen = {n: steps[n] for n in steps if n in left}
+    free = set(chosen)
+    spare = seconds * (1 - SPARE / 2) - pace * sum(c.rest_s if n in chosen else c.seconds for n, c in left.items())
+    while free:
+        planned = pace * sum(left[n].steps_s for n in free)
+        share = min(1.0, max(0.0, spare) / planned) if planned else 1.0
+        held = {n for n in free if steps[n] * share < floors[n]}
+        chosen |= {n: floors[n] if n in held else int(steps[n] * share) for n in free}
+        if not held:
+            break
+        free -= held
+        spare -= pace * sum(left[n].steps_s * floors[n] / steps[n] for n in held)
+    return chosen

@@ -16,6 +16,7 @@ from inpaint3d.orchestrator.budget.choice import (
     Steps,
     choose_point,
     cut_steps,
+    find_least_steps,
     learn_pace,
     list_costs,
     read_limits,
@@ -29,7 +30,8 @@ from inpaint3d.orchestrator.study.sweep import PROBE, PROBED, read_figures
 
 STUDY = Path("benchmarks/results/study/demo/points.json")
 CAMERAS = AFTER[-1]
-Run = Callable[[SceneRequest, Selection], int]
+Run = Callable[[SceneRequest, Selection, bool], int]
+"""Runs what is asked for; the third: whether to go on where a result cannot be right, as the probe's cannot."""
 
 
 def run_within(budget: Budget, request: SceneRequest, folder: Path, run: Run) -> int:
@@ -46,10 +48,10 @@ def run_within(budget: Budget, request: SceneRequest, folder: Path, run: Run) ->
     if not results.measured:
         raise BadInputError(f"the study of {results.capture} has no measured point; run `inpaint3d study` first")
     first = choose_point(results.measured, limits, 1.0).point
-    if code := run(ask_for(request, first), Selection(until=CAMERAS)):
+    if code := run(ask_for(request, first), Selection(until=CAMERAS), False):
         return code
     pace = _measure_pace(results, request, first, folder, run)
-    alike = [p for p in results.measured if _list_camera_settings(p) == _list_camera_settings(first)]
+    alike = [p for p in results.measured if p.camera_settings == first.camera_settings]
     expected = choose_point(alike, limits, pace)
     _say(describe_expectation(expected, limits, pace))
     began = time.monotonic()
@@ -65,15 +67,11 @@ def ask_for(request: SceneRequest, point: Point, further: Sequence[str] = ()) ->
     return dataclasses.replace(request, preset=point.preset, assignments=chosen)
 
 
-def _list_camera_settings(point: Point) -> list[str]:
-    return [a for a in point.assignments if a.split(".")[0] in AFTER] + [point.preset if not point.knobs else ""]
-
-
 def _measure_pace(results: StudyResults, request: SceneRequest, point: Point, folder: Path, run: Run) -> float:
     """Seconds here for a CPU second of the study, by the same fit of a few seconds; 1 where that cannot be told."""
     cameras = [a for a in point.assignments if a.split(".")[0] in AFTER]
     probe = dataclasses.replace(request, preset=point.preset, assignments=[*cameras, *PROBE])
-    if results.probe_cpu_s is None or run(probe, Selection(until=PROBED)):
+    if results.probe_cpu_s is None or run(probe, Selection(until=PROBED), True):
         _say("no probe: the study's own seconds are taken")
         return 1.0
     return _find_seconds(folder, [PROBED]) / results.probe_cpu_s
@@ -97,17 +95,18 @@ def _run_by_fits(
     configured = ConfiguredRequest(ask_for(request, expected.point), Selection()).pipeline
     order = configured.pipeline.order
     costs = {n: c for n, c in list_costs(expected.point, points).items() if n in order}
-    planned = {n: p["steps"] for n, p in configured.parameters.items() if "steps" in p and n in costs}
+    planned: Steps = {n: p["steps"] for n, p in configured.parameters.items() if "steps" in p and n in costs}
+    least = find_least_steps(points, planned)
     for fit in [*planned, None]:
         done = order[: order.index(fit)] if fit else list(order)
         if fit is not None and limits.seconds is not None:
             spent = time.monotonic() - began
             pace = learn_pace(pace, costs, spent, done)
-            chosen[fit] = cut_steps(planned, costs, limits.seconds - spent, pace, done)[fit]
+            chosen[fit] = cut_steps(planned, costs, limits.seconds - spent, pace, done, least)[fit]
         elif fit is not None:
             chosen[fit] = planned[fit]
         further = [f"{n}.steps={s}" for n, s in chosen.items() if s != planned[n]]
-        if code := run(ask_for(request, expected.point, further), Selection(until=fit)):
+        if code := run(ask_for(request, expected.point, further), Selection(until=fit), False):
             return code
     return 0
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from inpaint3d.orchestrator.study.points import Point, StudyResults, find_front
+from inpaint3d.orchestrator.study.space import write_value
 
 STYLE: Any = {"svg.hashsalt": "inpaint3d", "svg.fonttype": "none", "font.size": 9}
 
@@ -113,7 +114,7 @@ def tabulate(results: StudyResults, pictures: str = "") -> str:
     ]
     for p in sorted(results.measured, key=Point.sum_seconds):
         scores = " | ".join(f"{p.figures[n]:.{d}f}" if n in p.figures else "–" for n, d in _FIGURES)
-        knobs = ", ".join(f"{name} {value}" for name, value in p.knobs.items()) or f"preset {p.preset}"
+        knobs = ", ".join(f"{name} {write_value(value)}" for name, value in p.knobs.items()) or f"preset {p.preset}"
         lines.append(
             f"| {p.name} | {'yes' if p in front else ''} | {p.sum_seconds():.0f} | {p.sum_seconds('wall_s'):.0f} "
             f"| {_read_memory(p):.0f} | {scores} | {knobs} |"

@@ -62,6 +62,12 @@ class Point(Closed):
         return [value for option, value in pairwise(words) if option == "--set"]
 
     @property
+    def camera_settings(self) -> tuple[str, ...]:
+        """What decides the cameras and frames; held-out pixels of others are other pixels."""
+        own = tuple(a for a in self.assignments if a.split(".")[0] in AFTER)
+        return own if self.knobs else (*own, f"preset {self.preset}")
+
+    @property
     def peak_memory_bytes(self) -> int:
         """The most that any stage held at once, those before the cameras and evaluation included."""
         return max(cost.peak_memory_bytes for cost in self.stages.values())
@@ -117,13 +123,15 @@ def find_front(points: Sequence[Point], cost: Callable[[Point], float], gain: Ca
 
 
 def is_beaten(point: Point, others: Sequence[Point], stage: str, margin_db: float) -> bool:
-    """Whether up to a stage some finished point took no longer, and its field is better by `margin_db` or more."""
+    """Whether up to a stage a finished point of the same frames took no longer and is better by the margin."""
     reached = point.stages[stage].held_out_psnr if stage in point.stages else None
     if reached is None:
         return False
-    rivals = [o for o in others if stage in o.stages and o.stages[stage].held_out_psnr is not None]
     spent = point.sum_seconds(until=stage)
     return any(
-        o.sum_seconds(until=stage) <= spent and (o.stages[stage].held_out_psnr or 0.0) >= reached + margin_db
-        for o in rivals
+        (other.stages[stage].held_out_psnr or 0.0) >= reached + margin_db
+        for other in others
+        if stage in other.stages
+        and other.camera_settings == point.camera_settings
+        and other.sum_seconds(until=stage) <= spent
     )

@@ -67,11 +67,14 @@ def load_study(path: Path) -> StudySpec:
 
 def list_assignments(spec: StudySpec, drawn: Drawn) -> list[str]:
     """STAGE.PARAM=VALUE of everything that a point sets, as `--set` takes it."""
-    fixed = [f"{node}.{name}={_write(value)}" for node, values in spec.fixed.items() for name, value in values.items()]
-    chosen = [f"{target}={_write(drawn[name])}" for name, knob in spec.knobs.items() if name in drawn
+    fixed = [
+        f"{node}.{name}={write_value(value)}" for node, values in spec.fixed.items() for name, value in values.items()
+    ]
+    chosen = [f"{target}={write_value(drawn[name])}" for name, knob in spec.knobs.items() if name in drawn
               for target in knob.sets]  # fmt: skip
     return fixed + chosen
 
 
-def _write(value: Any) -> str:
+def write_value(value: Any) -> str:
+    """A value as YAML, and so `--set`, spells it."""
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -89,10 +89,21 @@ def measure(spec: StudySpec, bed: Bed, name: str, preset: str, drawn: Drawn) -> 
 
 
 def measure_probe(bed: Bed) -> float | None:
-    """CPU seconds of the probe's fit; None where it fails, which the first point will say too."""
+    """CPU seconds of the probe's stage, whose field cannot be right; None where it fails, as the first point will."""
     words = [part for a in PROBE for part in ("--set", a)]
     mask = ["--mask", str(bed.mask)] if bed.mask else []
-    command = ["inpaint3d", "run", str(bed.capture), *mask, *words, "--name", "study-probe", "--until", PROBED]
+    command = [
+        "inpaint3d",
+        "run",
+        str(bed.capture),
+        *mask,
+        *words,
+        "--name",
+        "study-probe",
+        "--until",
+        PROBED,
+        "--accept-doubtful",
+    ]
     point = _run(bed, Point(name="probe", state="failed", preset="", command=shlex.join(command)), command)
     return point.stages[PROBED].cpu_s if point.error is None else None
 
