@@ -191,8 +191,9 @@ def grid_histogram(
         return reference.grid_histogram(cells, origins, directions, tdist, floor)
     density, *rays = (tensor.numpy() for tensor in tensors)
     out = tdist.new_empty(len(origins), len(tdist) - 1)
+    bound = None if cells.contraction else torch.tensor(cells.bound, dtype=torch.float32).item()  # no other is taken
     kernels.grid_histogram(
-        kernels.Cells(density, cells.side, None if cells.contraction else cells.bound),
+        kernels.Cells(density, cells.side, bound),
         kernels.Rays(*rays),
         floor,
         out.numpy(),
