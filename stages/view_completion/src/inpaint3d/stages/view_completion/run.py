@@ -36,7 +36,8 @@ Views = tuple[MaskedView, ...]
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     """The stage. Inputs and output are the ports of stage.yaml; nothing under a mask is ever looked at."""
     torch.set_num_threads(ctx.threads)
-    scene = load_masked_scene(inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet))
+    # Also where less than the mask is to be fitted: what is left of it would be black, and pictures and plates show it.
+    scene = load_masked_scene(inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet), whole=True)
     field = inputs.one("radiance-field", RadianceFieldArtifact)
     if not find_fillable(scene.train):
         raise BadInputError(
