@@ -59,13 +59,25 @@ def put_posed(
     return store.put(folder, "posed-capture", metadata)
 
 
-def put_masks(store: Store, names: list[str], masks: np.ndarray) -> Digest:
+def put_masks(store: Store, names: list[str], masks: np.ndarray, unseen: np.ndarray | None = None) -> Digest:
+    """unseen: of the masks, what is to be filled alone."""
     folder = store.private_folder()
     views = []
-    for name, mask in zip(names, masks, strict=True):
+    for i, (name, mask) in enumerate(zip(names, masks, strict=True)):
         write_mask(folder / "masks" / f"{name}.png", mask)
-        views.append(MaskView(name=name, mask=f"masks/{name}.png", share=float(mask.mean())))
-    metadata = MaskSet(kind="per-view", task="inpaint", origin="imported", method="synthetic", views=tuple(views))
+        view = MaskView(name=name, mask=f"masks/{name}.png", share=float(mask.mean()))
+        if unseen is not None:
+            write_mask(folder / "unseen" / f"{name}.png", unseen[i])
+            view = view.model_copy(update={"unseen": f"unseen/{name}.png"})
+        views.append(view)
+    metadata = MaskSet(
+        kind="per-view",
+        task="inpaint",
+        origin="imported",
+        method="synthetic",
+        views=tuple(views),
+        hole="object" if unseen is None else "unseen",
+    )
     return store.put(folder, "mask-set", metadata)
 
 

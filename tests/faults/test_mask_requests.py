@@ -11,7 +11,10 @@ import yaml
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.orchestrator.intake import take_mask_request
+from inpaint3d.orchestrator.intake import take_mask_request, take_segmenter
+from inpaint3d.orchestrator.segmenter import recognise
+from tests.faults.fuzz import mutate
+from tests.sam_networks import write_networks
 
 SPHERE = {"kind": "sphere", "centre": [0, 0, 0.5], "radius": 0.3}
 CLICK = {"kind": "sphere", "surface": {"view": "a", "at": [10, 20], "frame_size": [64, 48]}, "radius": 0.2}
@@ -101,6 +104,23 @@ def test_a_hundred_requests_with_a_mistake_are_each_told_what_it_is(tmp_path):
         assert refused.value.exit_code == 2
         assert len(said) < 12_000, "a person is to read it"
     assert len(requests) > 100
+    assert not list((tmp_path / "store").rglob("artifact.json")), "nothing is kept"
+
+
+def test_a_hundred_damaged_segmenters_are_each_told_by_file_or_are_still_whole(tmp_path):
+    store, rng = FolderStore(tmp_path / "store"), random.Random(0)
+    encoder, decoder = write_networks(tmp_path, "sam2")
+    good, told = decoder.read_bytes(), list[str]()
+    for _ in range(120):
+        decoder.write_bytes(mutate(good, rng))
+        try:
+            recognise(encoder, decoder)  # damage that shows elsewhere is onnxruntime's to tell
+        except ConfigurationError as refused:
+            told.append(str(refused))
+            with pytest.raises(ConfigurationError):
+                take_segmenter(store, encoder, decoder)
+    assert all(said.startswith(f"--segmenter {decoder}") and len(said) < 3000 for said in told)
+    assert len(told) > 60
     assert not list((tmp_path / "store").rglob("artifact.json")), "nothing is kept"
 
 

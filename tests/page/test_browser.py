@@ -130,6 +130,7 @@ def meet(browser, room: Room, url: str, saved: Path) -> Iterator[Person]:
 def test_a_click_masks_the_ball_everywhere_and_the_next_stage_takes_what_was_saved(person, room):
     person.press("PageDown", "PageDown")
     expect(person.page.locator("#name")).to_have_text("view_002 (3 of 5)")
+    expect(person.page.locator("#finder")).to_have_text("GrabCut")
     assert person.share() == 0
     person.click(*room.middle_of_ball(2))
     expect(person.page.locator(".picture .mask")).to_have_attribute("d", re.compile("M.*Z"), timeout=PATIENCE_MS)

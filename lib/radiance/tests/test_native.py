@@ -321,6 +321,15 @@ def test_grid_histogram_equals_the_reference(isa, threads, rays, bins, side, con
     torch.testing.assert_close(out[sure].double(), truth[sure], atol=3e-6, rtol=0)
 
 
+def test_a_cube_may_have_any_bound():
+    # 2.3 is no float32: a kernel that takes nothing else would refuse it.
+    tdist, density = torch.linspace(0.01, 4.0, 9), uniform(4**3)
+    origins, directions = 0.5 * normal(5, 3), torch.nn.functional.normalize(normal(5, 3, seed=1), dim=-1)
+    cells = reference.Cells(density, 4, contraction=False, bound=2.3)
+    found, truth = (b.grid_histogram(cells, origins, directions, tdist, 0.01) for b in (native, reference))
+    torch.testing.assert_close(found, truth)
+
+
 @pytest.mark.parametrize("count", [0, 1, 3000])
 def test_grid_learn_equals_the_reference(isa, count):
     side = 6

@@ -108,6 +108,15 @@ def test_photo_completion_writes_surfaces_and_what_came_from_where(
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_all_that_is_masked_is_filled_also_where_less_is_to_be_fitted(
+    store: Store, room: SyntheticScene, inputs: Callable[..., dict[str, Any]], method: Any
+) -> None:
+    half = room.object_masks & (np.arange(room.object_masks.shape[2]) < room.object_masks.shape[2] // 2)
+    less = put_masks(store, room.names, room.object_masks, half)
+    assert complete(store, inputs() | {"mask-set": less}, method).digest == complete(store, inputs(), method).digest
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_nothing_under_the_mask_is_looked_at(
     store: Store, room: SyntheticScene, inputs: Callable[..., dict[str, Any]], method: Any
 ) -> None:

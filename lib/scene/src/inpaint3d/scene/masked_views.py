@@ -57,13 +57,16 @@ def load_masked_scene(
     plan: Artifact[EffectPlan] | None = None,
     *,
     whole_frames: bool = True,
+    whole_mask: bool = False,
 ) -> MaskedScene:
     """Every posed view with its mask. BadInputError where a mask is missing, misshapen or leaves nothing known.
 
     The hole is what the mask set says: all of the mask, or what of it no other view shows; the rest of the mask is then
-    neither hole nor known. Nor is what the plan's effects take out of the evidence (`IgnoredPixels`).
+    neither hole nor known. whole_mask: all of the mask, whatever it says. Neither hole nor known is what the plan's
+    effects take out of the evidence, too (`IgnoredPixels`).
     """
     ignored = IgnoredPixels(plan, whole_frames=whole_frames)
+    whole = whole_mask or masks.metadata.hole == "object"
     by_name = {m.name: m for m in masks.metadata.views}
     views: dict[str, list[MaskedView]] = {"train": [], "test": []}
     covered: dict[str, Mask] = {}
@@ -76,7 +79,7 @@ def load_masked_scene(
         # Blanked when the view is read, so that no later code can use masked pixels, not even by mistake.
         image = np.where(known[..., None], view.image(), np.float32(0))
         covered[view.name] = masked
-        own = masked if masks.metadata.hole == "object" else masked & read_mask(masks.path(_find_unseen(mask)), size)
+        own = masked if whole else masked & read_mask(masks.path(_find_unseen(mask)), size)
         views[view.split].append(MaskedView(view.name, view.camera, image, own, known))
     if not any(v.known.any() for v in views["train"]):
         raise BadInputError("the masks cover every training pixel; author a smaller mask")

@@ -191,9 +191,10 @@ def grid_histogram(
         return reference.grid_histogram(cells, origins, directions, tdist, floor)
     density, *rays = (tensor.numpy() for tensor in tensors)
     out = tdist.new_empty(len(origins), len(tdist) - 1)
+    # Inside a tuple the binding takes no number that float32 does not hold exactly.
+    bound = None if cells.contraction else tdist.new_tensor(cells.bound).item()
     kernels.grid_histogram(
-        # Inside a tuple the binding takes no number that float32 does not hold exactly.
-        kernels.Cells(density, cells.side, None if cells.contraction else tdist.new_tensor(cells.bound).item()),
+        kernels.Cells(density, cells.side, bound),
         kernels.Rays(*rays),
         floor,
         out.numpy(),

@@ -39,8 +39,8 @@ class Config(Closed):
     )
     hole: Literal["object", "unseen"] = Field(
         default="object",
-        description="what completion and the joint optimisation fill: all that is masked, or what of it no other view "
-        "shows (of an outpainting, always all)",
+        description="what the field is fitted to completed views in: all that is masked, or what of it no other view "
+        "shows (of an outpainting, always all); completed views have all that is masked filled",
     )
     agreement: Share = Field(
         default=0.9, description="a voxel is the object's where this share of the views that can tell see it inside"

@@ -38,7 +38,8 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     torch.set_num_threads(ctx.threads)
     plan = inputs.one("effect-plan", EffectPlan)
     posed, masks = inputs.one("posed-capture", PosedCapture), inputs.one("mask-set", MaskSet)
-    scene = load_masked_scene(posed, masks, plan, whole_frames=False)
+    # All of the mask, also where less is to be fitted: the rest would be black, and pictures and plates show it.
+    scene = load_masked_scene(posed, masks, plan, whole_frames=False, whole_mask=True)
     field = inputs.one("radiance-field", RadianceFieldArtifact)
     if not find_fillable(scene.train):
         raise BadInputError(

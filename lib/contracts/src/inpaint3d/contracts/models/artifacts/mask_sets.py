@@ -64,7 +64,8 @@ class MaskSet(Closed):
     task: Literal["inpaint", "outpaint"]
     origin: Origin
     hole: Literal["object", "unseen"] = Field(
-        default="object", description="what is to be filled: all of each mask, or what of it no other view shows"
+        default="object",
+        description="where a field follows completed views: all of each mask, or what of it no other shows",
     )
     method: str = Field(description="how it was made, e.g. 'grabcut seeded by points, reprojected with field depth'")
     primitives: tuple[Primitive, ...] = ()
