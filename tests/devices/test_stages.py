@@ -105,7 +105,12 @@ def test_fields_are_evaluated_there(bench: Bench, field: str) -> None:
 
 
 def test_the_scene_is_exported_there(bench: Bench, field: str) -> None:
-    bench.run("usd_export", {"render_longest_side": 24, "grid": 24, "texture_size": 128, "triangles": 200}, inpainted=field, original=field)
+    bench.run(
+        "usd_export",
+        {"render_longest_side": 24, "grid": 24, "texture_size": 128, "triangles": 200},
+        inpainted=field,
+        original=field,
+    )
 
 
 def test_every_stage_that_can_use_a_gpu_is_tried() -> None:
