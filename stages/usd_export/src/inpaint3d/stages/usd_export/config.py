@@ -12,7 +12,7 @@ Count = Annotated[int, Field(ge=1)]
 class Config(Closed):
     """How finely the scene is meshed and textured."""
 
-    views: Annotated[int, Field(ge=2)] = Field(default=32, description="views whose depth is fused, spread evenly")
+    views: Annotated[int, Field(ge=2)] = Field(default=24, description="views whose depth is fused, spread evenly")
     render_longest_side: Count = Field(
         default=128,
         description="pixels of the views' depth; renders stored with a field are used where they are at least this big",
@@ -27,10 +27,10 @@ class Config(Closed):
     smallest_piece: Share = Field(
         default=0.002, description="connected pieces with a smaller share of the triangles are dropped as floaters"
     )
-    triangles: Annotated[int, Field(ge=4)] = Field(default=30_000, description="the mesh is decimated to about so many")
+    triangles: Annotated[int, Field(ge=4)] = Field(default=20_000, description="the mesh is decimated to about so many")
     texture_size: Annotated[int, Field(ge=64, le=8192)] = Field(default=2048, description="texels; side of a texture")
     pictures: Count = Field(
-        default=32, description="training views whose pictures the texture is made of, spread evenly"
+        default=24, description="training views whose pictures the texture is made of, spread evenly"
     )
     original: bool = Field(default=True, description="the scene before inpainting, as another variant")
     metres_per_unit: Positive | None = Field(

@@ -10,17 +10,22 @@ FARTHEST = 1.995  # contracted radius of the farthest surface: 200 scene units
 
 def contract(points: Points) -> Points:
     """Scene points [*n, 3] into the ball: the identity inside the unit ball, (2 - 1/|x|) x/|x| outside."""
-    length = np.maximum(np.linalg.norm(points, axis=-1, keepdims=True), 1.0)
+    length = np.maximum(_measure_length(points), 1.0)
     return points * ((2 - 1 / length) / length)
 
 
 def expand(points: Points) -> Points:
     """Scene points [*n, 3] of contracted ones; what lies beyond `FARTHEST` is brought there."""
-    length = np.linalg.norm(points, axis=-1, keepdims=True)
+    length = _measure_length(points)
     bounded = np.clip(length, 1.0, FARTHEST)
     return points * np.where(length > 1.0, 1 / ((2 - bounded) * np.maximum(length, 1.0)), 1.0)
 
 
 def measure_stretch(points: Points) -> Points:
     """How long a short radial step of contracted space is in the scene, at scene points [*n, 3]: max(1, |x|)^2."""
-    return np.maximum(np.square(points).sum(-1), 1.0)
+    return np.maximum(np.einsum("...c,...c->...", points, points), 1.0)
+
+
+def _measure_length(points: Points) -> Points:
+    """Lengths [*n, 1]; sums over three numbers are slow in numpy, but not this way."""
+    return np.sqrt(np.einsum("...c,...c->...", points, points))[..., None]

@@ -18,6 +18,7 @@ from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.contraction import contract
 from inpaint3d.stages.usd_export.fidelity import HeldOutPhoto, measure_fidelity
 from inpaint3d.stages.usd_export.fusion import Box
+from inpaint3d.stages.usd_export.gltf import write_glb, write_point_cloud
 from inpaint3d.stages.usd_export.guides import visual_hull
 from inpaint3d.stages.usd_export.layer import Content, Scene, write_layer
 from inpaint3d.stages.usd_export.mesh import Mesh
@@ -31,6 +32,7 @@ from inpaint3d.stages.usd_export.validation import as_document, validate
 
 LAYER, PACKAGE, VALIDATION = "scene.usdc", "scene.usdz", "validation.json"
 HULL_GRID = 64
+POINTS = 200_000  # of a point cloud, at most: as dense where the texture is dense
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +77,9 @@ class Textured:
 def make_content(
     name: str, views: Sequence[SurfaceView], pictures: Sequence[Picture], box: Box, folder: Path, config: Config
 ) -> Textured:
-    """Fuse, unwrap and paint one content; its texture is written. Raises BadInputError without a surface.
+    """Fuse, unwrap and paint one content; its texture, GLB and point cloud are written.
 
-    What no picture shows takes its colours from the views.
+    Raises BadInputError without a surface. What no picture shows takes its colours from the views.
     """
     mesh = make_surface(
         views,
@@ -100,6 +102,11 @@ def make_content(
     texture = fill_texture(texels, colour, known, size)
     path = f"textures/{name}.png"
     write_png(folder / path, texture)
+    write_glb(folder / f"{name}.glb", mesh, atlas.coordinates, folder / path)
+    few = slice(None, None, -(-len(texels.row) // POINTS))
+    points = np.einsum("nc,ncd->nd", texels.barycentric[few], mesh.corners()[texels.triangle[few]])
+    painted = texture[texels.row[few], texels.column[few]]
+    write_point_cloud(folder / f"{name}.ply", points, mesh.normals()[texels.triangle[few]], painted)
     content = Content(name, mesh, atlas.coordinates, path, filled)
     return Textured(content, texture, atlas.charts, len(texels.row) / size**2)
 
@@ -138,6 +145,8 @@ def write_scene(
     (folder / VALIDATION).write_text(json.dumps(as_document(findings), indent=1, sort_keys=True) + "\n")
     return UsdScene(
         textures=tuple(content.texture for content in contents),
+        models=tuple(f"{content.name}.glb" for content in contents),
+        point_clouds=tuple(f"{content.name}.ply" for content in contents),
         triangles=len(contents[0].mesh.triangles),
         charts=made[0].charts,
         texel_use=round(made[0].texel_use, 4),

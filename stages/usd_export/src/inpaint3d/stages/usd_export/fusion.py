@@ -101,9 +101,11 @@ def depth_ahead(view: SurfaceView, points: NDArray[np.float64]) -> Floats:
     camera = view.camera
     xy, z = camera.project(points)
     strip = BORDER * max(camera.width, camera.height)
-    inside = camera.inside(np.clip(xy, 0, (camera.width - 0.5, camera.height - 0.5)), z)
-    inside &= (xy >= -strip).all(-1) & (xy <= (camera.width + strip, camera.height + strip)).all(-1)
-    column, row = np.where(inside[..., None], xy, 0).astype(np.int64).transpose(-1, *range(xy.ndim - 1))
+    with np.errstate(invalid="ignore"):
+        column, row = np.floor(xy[..., 0]), np.floor(xy[..., 1])
+        inside = (z > 0) & (column >= -strip) & (column < camera.width + strip)
+        inside &= (row >= -strip) & (row < camera.height + strip)
+    column, row = (np.where(inside, at, 0).astype(np.int64) for at in (column, row))
     depth = view.depth[row.clip(0, camera.height - 1), column.clip(0, camera.width - 1)]
     return np.where(inside & (depth > 0), depth - z, -np.inf).astype(np.float32)
 

@@ -27,7 +27,7 @@ FEATHER = 8.0  # pixels from an edge over which a picture gains its full say
 SAME_SURFACE = 0.02  # share of its depth by which a point may miss the surface that a picture shows
 DEPTH_STEP = 0.04  # a larger relative step of depth within a pixel's neighbourhood is an edge
 AGREEMENT = 0.08  # sRGB; pictures farther than this from the others show something else
-ROUNDS = 3
+ROUNDS = 2
 GAIN_TEXELS = 20_000
 GAIN_ROUNDS = 20
 BLOCK = 1 << 14  # texels coloured at once; bounds memory
@@ -162,7 +162,8 @@ def _blend(
     agreed = weight
     for _ in range(ROUNDS):
         mean = np.einsum("vn,vnc->nc", agreed, broad) / np.maximum(agreed.sum(0), 1e-12)[:, None]
-        apart = np.square(broad - mean).sum(-1)
+        away = broad - mean
+        apart = np.einsum("vnc,vnc->vn", away, away)
         agreed = weight * np.exp(-np.minimum(apart / (2 * AGREEMENT**2), 30.0))
     mean = np.einsum("vn,vnc->nc", agreed, broad) / np.maximum(agreed.sum(0), 1e-30)[:, None]
     best, column = np.argmax(agreed, 0), np.arange(len(points))
@@ -182,7 +183,7 @@ def _sample(sight: Sight, points: NDArray[np.float64], normals: NDArray[np.float
     at = (np.where(inside[:, None], xy, 0.5) - 0.5).astype(np.float32)
     depth, say = (_look_up(m, at) for m in (sight.depth, sight.say))
     towards = camera.centre - points
-    cosine = (normals * towards).sum(1) / np.linalg.norm(towards, axis=1)
+    cosine = np.einsum("nc,nc->n", normals, towards) / np.sqrt(np.einsum("nc,nc->n", towards, towards))
     shown = inside & (np.abs(depth - z) < SAME_SURFACE * safe_z) & (cosine > 0)
     size = np.maximum(cosine, 0) * camera.fx * camera.fy / np.square(safe_z)
     weight = np.where(shown, say * np.square(size), 0.0).astype(np.float32)

@@ -79,6 +79,8 @@ class UsdScene(Closed):
     package: RelativePath = "scene.usdz"
     layer: RelativePath = "scene.usdc"
     textures: tuple[RelativePath, ...] = ()
+    models: tuple[RelativePath, ...] = Field(default=(), description="each variant's mesh as GLB, its texture inside")
+    point_clouds: tuple[RelativePath, ...] = Field(default=(), description="each variant as PLY: x, y, z, normal, sRGB")
     triangles: int
     charts: int = Field(description="pieces that the mesh was cut into to be flattened")
     texel_use: Share = Field(description="of the texture, what lies in a chart")
