@@ -1,18 +1,11 @@
 """`inpaint3d masks`: a page on which a person points at what is to go."""
 
-import os
-import subprocess
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from inpaint3d.contracts.errors import BadInputError, InterruptedRun
-from inpaint3d.contracts.kit.confine import select_environment
-from inpaint3d.contracts.kit.shim import thread_environment
-from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import saved_mask
@@ -24,6 +17,7 @@ from inpaint3d.orchestrator.progress import choose_display
 from inpaint3d.orchestrator.request import ConfiguredRequest
 from inpaint3d.orchestrator.run import Scheduler
 from inpaint3d.orchestrator.run_folder import check_capture, own_folder
+from inpaint3d.orchestrator.stage_command import run_stage_command
 
 masks_app = typer.Typer(no_args_is_help=True, help="What is to go, pointed at on a page.")
 
@@ -35,8 +29,6 @@ SHOWN = {
     "radiance-field": ("nerf-pretraining", "radiance-field"),
 }
 """What the page shows, as far as a run has it: option of the stage's command -> node and port."""
-THREADS = 1  # what the stage itself asks for
-END_S = 5.0
 
 
 @masks_app.callback()
@@ -67,7 +59,8 @@ def edit(
             raise BadInputError(f"{record.name} has no pictures yet{why}; `inpaint3d run` it first")
         then = saved_mask.command_to_run(record.name, capture if Path(capture).exists() else "PHOTOS", places)
         target = str(saved_mask.path_of(places.runs_dir / record.name))
-        code = _serve(store, shown, ["--save", target, "--title", record.name, "--then", then, "--port", str(port)])
+        options = ["--save", target, "--title", record.name, "--then", then, "--port", str(port)]
+        code = run_stage_command(STAGE, "edit", store, shown, options)
     raise typer.Exit(code)
 
 
@@ -84,18 +77,3 @@ def _find_run(store: Store, capture: str, places: Places, name: str | None) -> R
     folder = places.runs_dir / planner.name
     with own_folder(folder):
         return Scheduler(planner, selection, choose_display("auto", planner.pipeline.order), folder).run()
-
-
-def _serve(store: Store, shown: Mapping[str, Digest | None], options: list[str]) -> int:
-    """The stage's own process, until it ends; its exit code."""
-    line = [sys.executable, "-m", STAGE, "edit", "--store", store.place, "--die-with-parent", *options]
-    line += [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
-    process = subprocess.Popen(line, env=select_environment(os.environ) | thread_environment(THREADS))
-    try:
-        return process.wait()
-    except KeyboardInterrupt:  # the terminal has told the page too
-        try:
-            return process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return InterruptedRun.exit_code
