@@ -19,7 +19,8 @@ from inpaint3d.contracts.models.artifacts import MaskSet
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import open_store
 from inpaint3d.orchestrator.history import History
-from inpaint3d.orchestrator.masks_cli import SHOWN, check_installed, command_of_page
+from inpaint3d.orchestrator.masks_cli import SHOWN, STAGE
+from inpaint3d.orchestrator.stage_command import build_line, check_installed
 from tests.conftest import REPOSITORY
 from tests.page.room import build_room
 from tests.sam_networks import write_networks
@@ -154,7 +155,8 @@ def test_a_page_whose_stage_is_in_images_alone_is_refused():
 
 def test_the_page_is_a_process_of_this_environment_where_stages_run_in_containers(monkeypatch):
     monkeypatch.setenv("INPAINT3D_RUNNER", "container")
-    line = command_of_page("/store", {"capture": "sha256:a", "radiance-field": None, "segmenter": "sha256:b"}, [])
+    shown = {"capture": "sha256:a", "radiance-field": None, "segmenter": "sha256:b"}
+    line = build_line(STAGE, "edit", "/store", shown, [])
     assert line[:4] == [sys.executable, "-m", "inpaint3d.stages.mask_authoring", "edit"]
     assert line[4:] == ["--store", "/store", "--die-with-parent", "--capture", "sha256:a", "--segmenter", "sha256:b"]
 

@@ -46,7 +46,7 @@ from inpaint3d.orchestrator.options import (
     with_options,
 )
 from inpaint3d.orchestrator.plan import Planner, Selection, find_pipeline, preview
-from inpaint3d.orchestrator.progress import choose_display
+from inpaint3d.orchestrator.progress import PROGRESS, Recorded, choose_display
 from inpaint3d.orchestrator.publish import REPORT, publish, read_report
 from inpaint3d.orchestrator.request import ConfiguredRequest
 from inpaint3d.orchestrator.run import Scheduler
@@ -226,7 +226,7 @@ def _carry_out(
     if left_out := planner.configured.left_out:
         said = ", ".join(f"{node} ({reason})" for node, reason in left_out.items())
         _say(f"{planner.name}: left out: {said}")
-    display = choose_display(log_format, planner.pipeline.order)
+    display = Recorded(choose_display(log_format, planner.pipeline.order), folder / PROGRESS)
     command = ("inpaint3d", *sys.argv[1:])
     scheduler = Scheduler(planner, selection, display, folder, runner, accept_doubtful=accept_doubtful, command=command)
     remove(folder / REPORT)  # a run that is killed leaves none: that of an earlier one would speak for it
@@ -323,7 +323,16 @@ def validate(pipeline: PipelinePath = None) -> None:
 
 def add_other_commands() -> typer.Typer:
     """The program with the commands of all modules."""
-    from inpaint3d.orchestrator import cluster_cli, dev_cli, history_cli, masks_cli, paint_cli, params_cli, study_cli
+    from inpaint3d.orchestrator import (
+        cluster_cli,
+        dev_cli,
+        history_cli,
+        masks_cli,
+        paint_cli,
+        params_cli,
+        study_cli,
+        view_cli,
+    )
 
     app.add_typer(cluster_cli.emit_app, name="emit")
     app.add_typer(dev_cli.dev_app, name="dev")
@@ -333,4 +342,5 @@ def add_other_commands() -> typer.Typer:
     history_cli.add_to(app)
     params_cli.add_to(app)
     study_cli.add_to(app)
+    view_cli.add_to(app)
     return app

@@ -1,18 +1,23 @@
 """The commands that look at what there is: past runs, their results, the store."""
 
+import contextlib
 import json
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.page_server import Get, PageServer
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.models.report import EffectFigures
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import comparison, housekeeping
 from inpaint3d.orchestrator.history import History, name_status
 from inpaint3d.orchestrator.options import RUNS, STORE, AsJson, PipelinePath, RunsPath, StorePath
+from inpaint3d.orchestrator.pages.run_list import RunList
+from inpaint3d.orchestrator.pages.side_by_side import render_comparison
 from inpaint3d.orchestrator.plan import find_pipeline
 from inpaint3d.orchestrator.provenance import find_unproved
 from inpaint3d.orchestrator.publish import publish, read_report
@@ -40,8 +45,19 @@ def why(name: str, stage: str, store: StorePath = STORE) -> None:
         sys.stdout.write(printable(f"  {found[0].error}\n"))
 
 
-def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
+def runs(
+    store: StorePath = STORE,
+    runs_dir: RunsPath = RUNS,
+    as_json: AsJson = False,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="show them on a local page, as they go on; until Ctrl-C")
+    ] = False,
+    port: Annotated[int, typer.Option(help="with --serve; default: any that is free")] = 0,
+) -> None:
     """List the runs that the store remembers, the newest of each name first."""
+    if serve:
+        serve_pages(RunList(open_store(store), runs_dir).get, port)
+        return
     history = History(open_store(store))
     records = [r for name in history.names() for r in history.of(name)]
     if as_json:
@@ -54,6 +70,15 @@ def runs(store: StorePath = STORE, as_json: AsJson = False) -> None:
         wall = "" if r.wall_s is None else f"{r.wall_s:.1f}"
         rows.append([r.name, r.started[:19], name_status(r), r.preset or "", wall, *map(str, counts)])
     print_table(("name", "started", "status", "preset", "wall s", "ran", "cached"), rows)
+
+
+def serve_pages(get: Get, port: int) -> None:
+    """Say where pages are served, and serve them until Ctrl-C."""
+    with PageServer(get, port=port) as server:
+        sys.stdout.write(f"open {server.url} in a browser of this machine; Ctrl-C here ends it\n")
+        sys.stdout.flush()
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
 
 
 def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:
@@ -124,14 +149,16 @@ def compare(
     store: StorePath = STORE,
     other_store: Annotated[str | None, typer.Option(help="where OTHER's artifacts are kept; default: --store")] = None,
     pipeline: PipelinePath = None,
+    page: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="also write pictures, figures and times side by side")
+    ] = None,
 ) -> None:
     """Say whether the last runs of NAME and OTHER made the same artifacts, whatever ran them; 3 where not."""
     one, two = open_store(store), open_store(other_store or store)
-    rows = list(
-        comparison.compare(
-            Pipeline(find_pipeline(pipeline)), one, History(one).latest(name), two, History(two).latest(other)
-        )
-    )
+    records = History(one).latest(name), History(two).latest(other)
+    rows = list(comparison.compare(Pipeline(find_pipeline(pipeline)), one, records[0], two, records[1]))
+    if page is not None:
+        page.write_text(render_comparison((one, records[0]), (two, records[1]), rows))
     print_table(("stage", "output", "", ""), [(r.node, r.port, r.verdict, r.detail) for r in rows], width=140)
     raise typer.Exit(0 if all(r.verdict in ("equal", "may differ") for r in rows) else BadInputError.exit_code)
 

@@ -1,19 +1,11 @@
 """`inpaint3d masks`: a page on which a person points at what is to go."""
 
-import importlib.util
-import os
-import subprocess
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError, InterruptedRun
-from inpaint3d.contracts.kit.confine import select_environment
-from inpaint3d.contracts.kit.shim import thread_environment
-from inpaint3d.contracts.models.base import Digest
+from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Store, open_store
 from inpaint3d.orchestrator import saved_mask
@@ -25,6 +17,7 @@ from inpaint3d.orchestrator.progress import choose_display
 from inpaint3d.orchestrator.request import ConfiguredRequest
 from inpaint3d.orchestrator.run import Scheduler
 from inpaint3d.orchestrator.run_folder import check_capture, own_folder
+from inpaint3d.orchestrator.stage_command import check_installed, run_stage_command
 
 masks_app = typer.Typer(no_args_is_help=True, help="What is to go, pointed at on a page.")
 
@@ -36,8 +29,6 @@ SHOWN = {
     "radiance-field": ("nerf-pretraining", "radiance-field"),
 }
 """What the page shows, as far as a run has it: option of the stage's command -> node and port."""
-THREADS = 1  # what the stage itself asks for
-END_S = 5.0
 
 
 @masks_app.callback()
@@ -73,17 +64,8 @@ def edit(
         then = saved_mask.command_to_run(record.name, photos, places, segmenter)
         target = str(saved_mask.path_of(places.runs_dir / record.name))
         options = ["--save", target, "--title", record.name, "--then", then, "--port", str(port)]
-        code = _serve(store, shown | {"segmenter": network}, options)
+        code = run_stage_command(STAGE, "edit", store, shown | {"segmenter": network}, options)
     raise typer.Exit(code)
-
-
-def check_installed(module: str) -> None:
-    """ConfigurationError where the stage is in images alone: a container has no network for a page."""
-    if importlib.util.find_spec(module) is None:
-        raise ConfigurationError(
-            f"the page is served by {module}, which is not installed in this environment ({sys.prefix}): containers "
-            "have no network to serve it from; run `make install`, or `uv sync --all-packages`, here"
-        )
 
 
 def _find_run(store: Store, capture: str, places: Places, name: str | None) -> RunRecord:
@@ -99,23 +81,3 @@ def _find_run(store: Store, capture: str, places: Places, name: str | None) -> R
     folder = places.runs_dir / planner.name
     with own_folder(folder):
         return Scheduler(planner, selection, choose_display("auto", planner.pipeline.order), folder).run()
-
-
-def command_of_page(store: str, shown: Mapping[str, Digest | None], options: list[str]) -> list[str]:
-    """The stage's command `edit`, in this environment."""
-    line = [sys.executable, "-m", STAGE, "edit", "--store", store, "--die-with-parent", *options]
-    return line + [part for option, digest in shown.items() if digest for part in (f"--{option}", digest)]
-
-
-def _serve(store: Store, shown: Mapping[str, Digest | None], options: list[str]) -> int:
-    """The stage's own process, until it ends; its exit code."""
-    line = command_of_page(store.place, shown, options)
-    process = subprocess.Popen(line, env=select_environment(os.environ) | thread_environment(THREADS))
-    try:
-        return process.wait()
-    except KeyboardInterrupt:  # the terminal has told the page too
-        try:
-            return process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return InterruptedRun.exit_code

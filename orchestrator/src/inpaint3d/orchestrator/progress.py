@@ -1,12 +1,18 @@
 """What a person or a program sees of a run as it goes on: a live table on a terminal, JSON lines elsewhere."""
 
+import contextlib
 import json
+import math
 import sys
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Protocol
 
 JSON_INTERVAL_S = 5.0
+RECORD_INTERVAL_S = 1.0
+PROGRESS = "progress.json"
+"""Of a run's folder, while the run goes on."""
 
 
 class Display(Protocol):
@@ -57,6 +63,41 @@ class JsonLines:
     def _print(self, value: Mapping[str, Any]) -> None:
         sys.stdout.write(json.dumps({"time": round(time.time(), 3), **value}) + "\n")
         sys.stdout.flush()
+
+
+class Recorded:
+    """A display that also leaves in a file where each stage is, for who looks from outside; once a second at most."""
+
+    def __init__(self, display: Display, file: Path) -> None:
+        self._display, self._file = display, file
+        self._state: dict[str, dict[str, Any]] = {}
+        self._written = -math.inf
+
+    def node(self, node: str, status: str, reason: str = "", **values: Any) -> None:
+        self._display.node(node, status, reason, **values)
+        if status == "running":
+            self._state.setdefault(node, {})
+        else:
+            self._state.pop(node, None)
+        self._write()
+
+    def progress(self, node: str, event: Mapping[str, Any]) -> None:
+        self._display.progress(node, event)
+        self._state[node] = {name: event.get(name) for name in ("done", "total", "message")}
+        self._write()
+
+    def close(self) -> None:
+        self._display.close()
+        self._file.unlink(missing_ok=True)
+
+    def _write(self) -> None:
+        now = time.monotonic()
+        if now - self._written >= RECORD_INTERVAL_S:
+            self._written = now
+            staged = self._file.with_name(f"{self._file.name}.new")
+            with contextlib.suppress(OSError):  # it is looked at, and nothing depends on it
+                staged.write_text(json.dumps(self._state))
+                staged.replace(self._file)
 
 
 def choose_display(log_format: str, nodes: list[str]) -> Display:
