@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint study accuracy-and-time bench-masks bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
+.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint study accuracy-and-time bench-masks bench-usd bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -129,6 +129,9 @@ bench-unet: .venv/.installed ## steps of the UNet against diffusers' of equal si
 
 bench-masks: .venv/.installed ## objects pointed at with a few clicks against known masks [STATUE=FOLDER]
 	.venv/bin/python -m benchmarks.masks $(if $(STATUE),--statue $(STATUE)) $(BENCH_OPTIONS)
+
+bench-usd: .venv/.installed ## the exported mesh of finished runs against held-out photos RUNS="NAME ..." [BLENDER=PYTHON]
+	.venv/bin/python -m benchmarks.usd $(RUNS) $(if $(BLENDER),--blender $(BLENDER)) $(BENCH_OPTIONS)
 
 bench-joint: .venv/.installed ## what fills a hole best: baselines, estimators, the paper; hours [STATUE=FOLDER] [BEAR=FOLDER]
 	.venv/bin/python -m benchmarks.joint $(if $(STATUE),--statue $(STATUE)) $(if $(BEAR),--bear $(BEAR)) $(BENCH_OPTIONS)
