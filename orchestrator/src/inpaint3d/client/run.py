@@ -108,7 +108,7 @@ def open_run(name: str, store: str | None = None) -> Run:
 
 
 def _shorten(value: Any) -> str:
-    if isinstance(value, tuple) and len(cast(tuple[Any, ...], value)) > 3:
-        return f"{len(cast(tuple[Any, ...], value))} of them"
-    text = str(value)
+    if isinstance(value, tuple) and len(many := cast(tuple[Any, ...], value)) > 3:
+        return f"{len(many)} of them"
+    text = str(cast(object, value))
     return text if len(text) <= 200 else f"{text[:200]} …"
