@@ -1,5 +1,6 @@
 """`docs/accuracy-and-time.md` and its plots from `benchmarks/results/study`: `make accuracy-and-time`."""
 
+import argparse
 from pathlib import Path
 
 from inpaint3d.orchestrator.study.plots import draw_plots, tabulate
@@ -23,6 +24,7 @@ def describe(path: Path) -> str:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     sections = [describe(path) for path in sorted(STUDIES.glob("*/points.json"))]
     before, _, rest = PAGE.read_text().partition(BEGIN)
     _, _, after = rest.partition(END)

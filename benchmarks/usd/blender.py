@@ -3,16 +3,16 @@
 Stands alone: it runs in an environment of its own, in which this project is not installed.
 """
 
-import sys
+import argparse
 from pathlib import Path
-
-import bpy
 
 WIDTH = 480
 
 
 def main(scene: str, out: str, views: list[str]) -> None:
     """Write OUT/VIEW.png of each camera `View_NNNN`, and print its lens in millimetres."""
+    import bpy
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.usd_import(filepath=scene, import_guide=True, support_scene_instancing=False)
     render = bpy.context.scene.render
@@ -37,4 +37,9 @@ def main(scene: str, out: str, views: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2], sys.argv[3:])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scene")
+    parser.add_argument("out")
+    parser.add_argument("views", nargs="+")
+    given = parser.parse_args()
+    main(given.scene, given.out, given.views)

@@ -2,6 +2,7 @@
 
 import ast
 import importlib.metadata
+import inspect
 import re
 import shutil
 import subprocess
@@ -65,7 +66,10 @@ def modules_of(distribution):
     if distribution in MEMBERS:
         return {"inpaint3d." + distribution.removeprefix("inpaint3d-")}
     provided = importlib.metadata.packages_distributions()
-    return {m for m, owners in provided.items() if distribution in {o.lower().replace("_", "-") for o in owners}}
+    packages = {m for m, owners in provided.items() if distribution in {o.lower().replace("_", "-") for o in owners}}
+    # Those do not list an extension that lies outside of any package.
+    alone = {inspect.getmodulename(f.name) for f in importlib.metadata.files(distribution) or () if len(f.parts) == 1}
+    return packages | (alone - {None})
 
 
 def test_every_stage_has_an_image_of_its_own():
@@ -89,7 +93,7 @@ def test_a_package_declares_what_it_imports_and_nothing_else(member):
     idle = {d for d in declared(member) - set(NOT_IMPORTED) if not modules_of(d) & used}
     assert idle == set(), f"{member} declares what it never imports"
     ours = {m for m in used if m.startswith("inpaint3d.") and m != "inpaint3d.stages"}
-    own = {"inpaint3d." + member.removeprefix("inpaint3d-")}
+    own = {f"inpaint3d.{folder.name}" for folder in (MEMBERS[member] / "src" / "inpaint3d").iterdir()}
     assert ours - own <= {m for d in declared(member) for m in modules_of(d)}, (
         f"{member} imports what it does not declare"
     )

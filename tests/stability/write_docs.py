@@ -48,31 +48,40 @@ def write_cases() -> str:
     return "\n".join(parts)
 
 
-def write_faults() -> str:
-    """What was put into a fit, and what is said."""
-    from tests.stability.test_faults import FAULTS
+FAULTS = {
+    "faults": ("tests.stability.test_faults", "put in at the third and at the last step | the message says"),
+    "joint-faults": (
+        "tests.stability.test_joint_faults",
+        "put in at the third and at the last step | the message says",
+    ),
+    "prior-faults": (
+        "tests.stability.test_prior_faults",
+        "put in at the third and at the last step | the message says",
+    ),
+    "stage-faults": ("tests.stability.stage_faults", "put in | the message says (exit code 3)"),
+}
+"""Table of the page -> where its faults stand, and its header."""
 
-    lines = ["| put in at the third and at the last step | the message says |", "|---|---|"]
-    lines += [f"| {fault.what} | {_cell(f'`{_readable(fault.said)}`')} |" for fault in FAULTS]
-    return "\n".join(lines) + "\n"
 
-
-def write_stage_faults() -> str:
-    """What was put into what stages read, and what they say."""
-    from tests.stability.stage_faults import FAULTS
-
-    lines = ["| put in | the message says (exit code 3) |", "|---|---|"]
-    lines += [f"| {fault.what} | {_cell(f'`{_readable(fault.said)}`')} |" for fault in FAULTS]
+def write_faults(table: str) -> str:
+    """What was put in, and what is said."""
+    module, header = FAULTS[table]
+    faults = importlib.import_module(module).FAULTS
+    lines = [f"| {header} |", "|---|---|"]
+    lines += [f"| {fault.what} | {_cell(f'`{_readable(fault.said)}`')} |" for fault in faults]
     return "\n".join(lines) + "\n"
 
 
 def write_invariance() -> str:
     """Figures of `benchmarks.invariance`, as far as they were measured."""
     found = json.loads((ROOT / "benchmarks/results/invariance.json").read_text())
-    lines = ["| the world | PSNR, dB | depth error |", "|---|---|---|"]
+    lines = ["| the world | PSNR, dB | depth error | mask IoU |", "|---|---|---|---|"]
     rows = {**found["worlds"], **{f"another seed ({i})": s for i, s in enumerate(found["seeds"]) if i}}
     rows |= {f"{steps} steps": scores for steps, scores in found.get("long", {}).items()}
-    lines += [f"| {name} | {row['psnr']:.2f} | {row['depth_error']:.4f} |" for name, row in rows.items()]
+    lines += [
+        f"| {name} | {row['psnr']:.2f} | {row['depth_error']:.4f} | {row['mask_iou']:.3f} |"
+        for name, row in rows.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -89,8 +98,7 @@ def fill_page(text: str) -> str:
     """The page with its tables as they are now, between their marks."""
     tables = {
         "cases": write_cases(),
-        "faults": write_faults(),
-        "stage-faults": write_stage_faults(),
+        **{table: write_faults(table) for table in FAULTS},
         "invariance": write_invariance(),
     }
     for name, table in tables.items():

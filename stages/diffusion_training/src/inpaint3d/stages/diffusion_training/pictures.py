@@ -129,9 +129,15 @@ class Cropper:
     """By how much a crop may be enlarged, at least 1."""
 
     def batch(self, pictures: Sequence[Picture], rng: np.random.Generator) -> Batch:
-        """One crop of each picture; unknown pixels lie in the hole and are not taught."""
+        """One crop of each picture; unknown pixels lie in the hole and are not taught.
+
+        Raises BadInputError where a crop's colours are not finite, which names the picture.
+        """
         known = (picture.read() if isinstance(picture, StoredPicture) else picture for picture in pictures)
         crops = [self._crop(picture, rng) for picture in known]
+        for picture, (colour, _) in zip(pictures, crops, strict=True):
+            if broken := int((~np.isfinite(colour)).sum()):
+                raise BadInputError(f"picture {picture.name} holds {broken} numbers that are not finite; save it anew")
         colour, unknown = (np.stack(parts) for parts in zip(*crops, strict=True))
         hole = np.stack([self._draw_hole(rng) for _ in pictures]) | unknown
         return Batch(

@@ -1,0 +1,210 @@
+"""Faults that are put into the joint optimisation: told by step, tensor, ray, view or window, and gone back from.
+
+`FAULTS` is a table of docs/stability.md: what was put in, and what is said.
+"""
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from inpaint3d.contracts.errors import NonFiniteError
+from inpaint3d.contracts.kit.context import Context, Inputs
+from inpaint3d.contracts.models.documents import load_yaml
+from inpaint3d.contracts.models.pipeline import merge_parameters
+from inpaint3d.contracts.models.stage import load_stage
+from inpaint3d.contracts.store import FolderStore
+from inpaint3d.radiance.health import check_finite
+from inpaint3d.scene.synthetic import synthetic_scene
+from inpaint3d.stages.joint_optimization.config import Config
+from inpaint3d.stages.joint_optimization.curves import Curves
+from inpaint3d.stages.joint_optimization.loop import Problem, optimise
+from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.run import pose
+from tests.conftest import REPOSITORY
+from tests.room_artifacts import put_completed, put_masks, put_plan, put_posed, put_prior
+
+STAGE = REPOSITORY / "stages/joint_optimization"
+STEPS = 4
+ROOM = synthetic_scene(views=4)
+ESTIMATORS: dict[str, dict[str, Any]] = {
+    "sds": {"name": "sds", "warmup_steps": 0, "distill_every": 1},
+    "completed-views": {"name": "completed-views", "patch_size": 16, "warmup_steps": 0, "distill_every": 1},
+}
+
+
+class Fault(NamedTuple):
+    """put: does the damage when the loop is at its third step, or at its last. said: what the message matches."""
+
+    what: str
+    put: Callable[[Problem], None]
+    said: str
+    estimator: str = "sds"
+
+
+def set_weight(name: str, value: float, at: tuple[int, int]) -> Callable[[Problem], None]:
+    def put(problem: Problem) -> None:
+        with torch.no_grad():
+            dict(problem.field.named_parameters())[name][at] = value
+
+    return put
+
+
+def break_gradient(name: str, value: float) -> Callable[[Problem], None]:
+    """The next gradient that a step leaves at a tensor has a broken number; those of the curves are taken apart."""
+
+    def put(problem: Problem) -> None:
+        parameter = dict(problem.field.named_parameters())[name]
+
+        def spoil(found: torch.Tensor) -> None:
+            handle.remove()
+            if found.grad is not None:
+                found.grad.view(-1)[3] = value
+
+        handle = parameter.register_post_accumulate_grad_hook(spoil)
+
+    return put
+
+
+def break_batch(part: str, value: float) -> Callable[[Problem], None]:
+    """The next batch, and the same when it is traced, has one number that is not finite: in a colour or a distance."""
+
+    def put(problem: Problem) -> None:
+        bank, drawn, left = problem.bank, problem.bank.draw, [2]
+
+        def draw(*args: Any, **options: Any) -> Any:
+            batch = drawn(*args, **options)
+            left[0] -= 1
+            if left[0] == 0:
+                vars(bank).pop("draw")
+            (batch.target[5, 1:2] if part == "target" else batch.distance[2:3]).fill_(value)
+            return batch
+
+        vars(bank)["draw"] = draw
+
+    return put
+
+
+def break_guide(value: float) -> Callable[[Problem], None]:
+    """The guide's next answer has one number that is not finite in every pixel's place."""
+
+    def put(problem: Problem) -> None:
+        guide = problem.guide
+        answer = type(guide).gradient
+
+        def gradient(*args: Any) -> Any:
+            vars(guide).pop("gradient")
+            found, t = answer(guide, *args)
+            return torch.full_like(found, value), t
+
+        vars(guide)["gradient"] = gradient
+
+    return put
+
+
+FAULTS = [
+    Fault("NaN in an entry of the table", set_weight("base.table", math.nan, (7, 1)), r"base\.table \(1, .*\[7, 1\]"),
+    Fault(
+        "inf in a network's weight", set_weight("base.weights.0", math.inf, (3, 2)), r"base\.weights\.0 \(1, .*\[3, 2\]"
+    ),
+    Fault("NaN in a table's gradient", break_gradient("base.table", math.nan), r"gradient\.base\.table \(1\)"),
+    Fault(
+        "inf in a network's gradient", break_gradient("base.weights.1", math.inf), r"gradient\.base\.weights\.1 \(1\)"
+    ),
+    Fault(
+        "NaN in a known pixel's colour",
+        break_batch("target", math.nan),
+        r"loss\.reconstruction.*was given the first at \[5, 1\].*ray 5, view view_\d+, pixel \(\d+, \d+\)",
+    ),
+    Fault(
+        "NaN in the distance of a sparse point",
+        break_batch("distance", math.nan),
+        r"loss\.line_of_sight.*was given the first at \[2, \d+\]|loss\.line_of_sight.*the first at \[2\]",
+    ),
+    Fault(
+        "NaN in the prior's answer",
+        break_guide(math.nan),
+        r"view view_\d+, window of \d+ px at .*the guide of view view_\d+ answered what is not finite",
+    ),
+    Fault(
+        "inf in the answer of a guide to completed pictures",
+        break_guide(math.inf),
+        r"view view_\d+, window of \d+ px at .*the guide of view view_\d+ answered what is not finite",
+        "completed-views",
+    ),
+    Fault(
+        "inf in a known or a made-up pixel's colour",
+        break_batch("target", math.inf),
+        r"loss\.reconstruction.*ray 5, view view_\d+, pixel \(\d+, \d+\)",
+        "completed-views",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
+    store = FolderStore(tmp_path_factory.mktemp("joint") / "store")
+    wired = {
+        "posed-capture": put_posed(store, ROOM, ROOM.images),
+        "effect-plan": put_plan(store),
+        "mask-set": put_masks(store, ROOM.names, ROOM.object_masks),
+        "diffusion-prior": put_prior(store),
+        "completed-views": put_completed(store, ROOM),
+    }
+    return Inputs(store, load_stage(STAGE / "stage.yaml"), wired)
+
+
+def optimise_with(
+    fault: Fault, inputs: Inputs, work: Path, at: int, *, again: bool
+) -> tuple[Problem, Context, list[str]]:
+    """again: the fault comes back whenever the loop is at that step."""
+    tiny = load_yaml(STAGE / "tests/tiny.yaml")[0]
+    tiny.pop("estimator")
+    config = Config.model_validate(merge_parameters(tiny, {"steps": STEPS, "estimator": ESTIMATORS[fault.estimator]}))
+    problem, _ = pose(config, inputs, 0, "cpu")
+    waiting = [fault]
+
+    class Watched(Context):
+        def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
+            if done == at and waiting:
+                (waiting[0] if again else waiting.pop()).put(problem)
+
+    messages: list[str] = []
+    emit = lambda event, **values: messages.append(values.get("message", ""))  # noqa: E731
+    ctx = Watched(seed=0, device="cpu", threads=1, work=work, emit=emit)
+    try:
+        optimise(problem, ctx, Curves(), Ranks())
+    except NonFiniteError as error:
+        messages.append(str(error))
+    return problem, ctx, [message for message in messages if message]
+
+
+def assert_said(messages: list[str], fault: Fault, at: int) -> None:
+    said = [message for message in messages if re.search(fault.said, message)]
+    assert said, messages
+    assert all(re.search(rf"step {at}\b|after step {at + 1}\b", message) for message in said), said
+    assert not any("lower the learning rate" in message for message in messages)
+
+
+@pytest.mark.parametrize("at", [2, STEPS - 1], ids=["third", "last"])
+@pytest.mark.parametrize("fault", FAULTS, ids=[f.what for f in FAULTS])
+def test_a_fault_that_comes_once_is_located_and_survived(tmp_path: Path, inputs: Inputs, fault: Fault, at: int) -> None:
+    problem, ctx, messages = optimise_with(fault, inputs, tmp_path, at, again=False)
+    check_finite(problem.field)
+    assert ctx.health["rollbacks"] == 1
+    assert_said(messages, fault, at)
+    assert "goes on from step 0 with half the learning rate" in messages[-1]
+
+
+@pytest.mark.parametrize("fault", FAULTS[::3], ids=[f.what for f in FAULTS[::3]])
+def test_a_fault_that_comes_again_ends_with_its_place(tmp_path: Path, inputs: Inputs, fault: Fault) -> None:
+    _, _, messages = optimise_with(fault, inputs, tmp_path, 2, again=True)
+    assert_said(messages, fault, 2)
+    assert "went back 1 times before" in messages[-1]
+    kept = load_file(tmp_path / "checkpoint.safetensors")
+    assert all(tensor.isfinite().all() for name, tensor in kept.items() if tensor.is_floating_point() and "." in name)
