@@ -25,7 +25,7 @@ Floats = NDArray[np.float32]
 BROAD = 3.0  # pixels; standard deviation of the filter that parts broad from fine
 FEATHER = 8.0  # pixels from an edge over which a picture gains its full say
 SAME_SURFACE = 0.02  # share of its depth by which a point may miss the surface that a picture shows
-DEPTH_STEP = 0.04  # a larger relative step of depth within a pixel's neighbourhood is an edge
+DEPTH_STEP = 0.04  # share of its depth by which a pixel may miss the plane through its neighbours; more is an edge
 AGREEMENT = 0.08  # sRGB; pictures farther than this from the others show something else
 ROUNDS = 2
 GAIN_TEXELS = 20_000
@@ -79,12 +79,21 @@ def look(mesh: Mesh, caster: Caster, picture: Picture) -> Sight:
     pixels = np.bincount(hits.triangle[met], minlength=count)
     under = np.zeros_like(met) if picture.masked is None else picture.masked.ravel()
     masked = np.bincount(hits.triangle[met & under], minlength=count)
-    kernel = np.ones((3, 3), np.uint8)
-    nearest, farthest = cv2.erode(depth, kernel), cv2.dilate(depth, kernel)
-    sound = picture.usable & (depth > 0) & (farthest - nearest <= DEPTH_STEP * farthest)
+    sound = picture.usable & ~_find_edges(depth)
     sound[[0, -1]] = sound[:, [0, -1]] = False
     inward = cv2.distanceTransform(sound.astype(np.uint8), cv2.DIST_L2, 5)
     return Sight(picture, depth, pixels > 0, np.minimum(inward / FEATHER, 1.0), (pixels > 0) & (2 * masked >= pixels))
+
+
+def _find_edges(depth: Floats) -> Mask:
+    """Where surfaces end in a depth map [h, w], and where there is none (0).
+
+    Along a line of pixels the inverse depth of a plane is straight, however steeply it is seen.
+    """
+    inverse = 1 / np.where(depth > 0, depth, np.inf)
+    kernels = (np.float32([[1, -2, 1]]), np.float32([[1], [-2], [1]]))
+    bend = np.maximum(*(np.abs(cv2.filter2D(inverse, -1, k, borderType=cv2.BORDER_REPLICATE)) for k in kernels))
+    return (depth <= 0) | (bend > DEPTH_STEP * inverse)
 
 
 def even_exposures(mesh: Mesh, texels: Texels, sights: Sequence[Sight]) -> list[Sight]:
