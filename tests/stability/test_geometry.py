@@ -294,7 +294,7 @@ def test_a_window_of_a_view_that_is_nearly_all_hole_takes_what_is_known(side: st
 
 
 def volume(distance: np.ndarray, cell: float = 1.0, low: float = 0.0) -> Volume:
-    return Volume(np.full(3, low), cell, distance.astype(np.float32), np.ones(distance.shape, np.float32))
+    return Volume(np.full(3, low), cell, distance.astype(np.float32), np.ones(distance.shape, bool))
 
 
 def ball(n: int = 9) -> np.ndarray:
