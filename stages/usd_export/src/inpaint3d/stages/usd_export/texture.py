@@ -91,8 +91,10 @@ def _find_edges(depth: Floats) -> Mask:
     Along a line of pixels the inverse depth of a plane is straight, however steeply it is seen.
     """
     inverse = 1 / np.where(depth > 0, depth, np.inf)
-    kernels = (np.float32([[1, -2, 1]]), np.float32([[1], [-2], [1]]))
-    bend = np.maximum(*(np.abs(cv2.filter2D(inverse, -1, k, borderType=cv2.BORDER_REPLICATE)) for k in kernels))
+    across = np.array([[1, -2, 1]], np.float32)
+    bend = np.maximum(
+        *(np.abs(cv2.filter2D(inverse, -1, k, borderType=cv2.BORDER_REPLICATE)) for k in (across, across.T))
+    )
     return (depth <= 0) | (bend > DEPTH_STEP * inverse)
 
 
