@@ -131,12 +131,12 @@ class Cropper:
     def batch(self, pictures: Sequence[Picture], rng: np.random.Generator) -> Batch:
         """One crop of each picture; unknown pixels lie in the hole and are not taught.
 
-        Raises BadInputError where a crop's colours are not finite, which names the picture.
+        Raises BadInputError where known colours of a crop are not finite, which names the picture.
         """
         known = (picture.read() if isinstance(picture, StoredPicture) else picture for picture in pictures)
         crops = [self._crop(picture, rng) for picture in known]
-        for picture, (colour, _) in zip(pictures, crops, strict=True):
-            if broken := int((~np.isfinite(colour)).sum()):
+        for picture, (colour, unknown) in zip(pictures, crops, strict=True):
+            if broken := int((~np.isfinite(colour[~unknown])).sum()):
                 raise BadInputError(f"picture {picture.name} holds {broken} numbers that are not finite; save it anew")
         colour, unknown = (np.stack(parts) for parts in zip(*crops, strict=True))
         hole = np.stack([self._draw_hole(rng) for _ in pictures]) | unknown
