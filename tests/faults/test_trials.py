@@ -25,7 +25,7 @@ def test_nothing_is_lost_half_there_or_wrong():
 def test_damaged_inputs_are_read_or_refused_and_nothing_else(tmp_path):
     counts, faults = fuzz.fuzz(count=900, seed=1, folder=tmp_path)
     assert faults == []
-    assert len(counts) == 18
+    assert {"YAML", "ONNX", "checkpoint", "EXR"} < set(counts)
     assert all(outcomes["refused"] for outcomes in counts.values())
     assert sum(outcomes["read"] for outcomes in counts.values()) > 0
 
