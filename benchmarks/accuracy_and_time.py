@@ -3,14 +3,15 @@
 import argparse
 from pathlib import Path
 
+from benchmarks.pages import fill_between
+from benchmarks.provenance import REPOSITORY
+
 from inpaint3d.orchestrator.study.plots import draw_plots, tabulate
 from inpaint3d.orchestrator.study.points import read_results
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 STUDIES = REPOSITORY / "benchmarks" / "results" / "study"
 PAGE = REPOSITORY / "docs" / "accuracy-and-time.md"
 PICTURES = PAGE.parent / "pictures" / "study"
-BEGIN, END = "<!-- study -->", "<!-- /study -->"
 
 
 def describe(path: Path) -> str:
@@ -26,9 +27,7 @@ def describe(path: Path) -> str:
 def main() -> None:
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     sections = [describe(path) for path in sorted(STUDIES.glob("*/points.json"))]
-    before, _, rest = PAGE.read_text().partition(BEGIN)
-    _, _, after = rest.partition(END)
-    PAGE.write_text(f"{before}{BEGIN}\n" + "\n".join(sections) + f"{END}{after}")
+    PAGE.write_text(fill_between(PAGE.read_text(), "study", "\n" + "\n".join(sections)))
 
 
 if __name__ == "__main__":

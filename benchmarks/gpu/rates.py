@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, get_args
 
 import torch
+from benchmarks.gpu.correctness import COMPILING_S
 from benchmarks.gpu.results import Results
 from benchmarks.gpu.room import Fit, preset, room_fit, scene_fit, wait_for
 from benchmarks.gpu.training import config_of, noise_batch
@@ -39,8 +40,8 @@ def measure(options: argparse.Namespace, results: Results) -> None:
         needs_s=1.0,
     )
     if device != "cpu":
-        results.attempt("field of the paper, compiled", lambda: rate_field(device, tiny, "compiled"), needs_s=20.0)
-        results.attempt("prior, compiled", lambda: rate_prior(device, tiny, compiled=True), needs_s=30.0)
+        results.attempt("field of the paper, compiled", lambda: rate_field(device, tiny, "compiled"), needs_s=60.0)
+        results.attempt("prior, compiled", lambda: rate_prior(device, tiny, compiled=True), needs_s=COMPILING_S)
 
 
 def seconds_of(work: Callable[[], object], device: str, repeats: int) -> float:

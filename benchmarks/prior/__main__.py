@@ -36,6 +36,7 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
+from benchmarks.pages import fill_between
 from benchmarks.provenance import REPOSITORY, commit
 from torch import Tensor
 
@@ -55,7 +56,6 @@ from inpaint3d.stages.evaluation.frechet import kernel_distance
 GENERAL = REPOSITORY / "priors" / "general"
 RESULTS = REPOSITORY / "benchmarks" / "results" / "prior.json"
 CARD = REPOSITORY / "priors" / "README.md"
-MARKS = ("<!-- prior -->", "<!-- /prior -->")
 SEED = 20
 BATCH = 10
 GRID_ROWS = 12
@@ -109,9 +109,7 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(report, indent=1) + "\n")
     if options.out == RESULTS:
-        before, _, rest = CARD.read_text().partition(MARKS[0])
-        after = rest.partition(MARKS[1])[2]
-        CARD.write_text(f"{before}{MARKS[0]}\n{table(report)}\n{MARKS[1]}{after}")
+        CARD.write_text(fill_between(CARD.read_text(), "prior", f"\n{table(report)}\n"))
 
 
 def table(report: dict[str, Any]) -> str:

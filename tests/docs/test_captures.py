@@ -1,8 +1,9 @@
 """docs/how-to/captures.md says what the code reads; `python -m tests.docs.test_captures` writes its tables anew."""
 
-import re
 from pathlib import Path
 from typing import get_args
+
+from benchmarks.pages import fill_between
 
 from inpaint3d.contracts.models.artifacts import Capture
 from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES, UNREADABLE_SUFFIXES
@@ -36,7 +37,7 @@ def build_parts() -> dict[str, str]:
 
 def fill_in(text: str) -> str:
     for name, part in build_parts().items():
-        text = re.sub(rf"(<!-- {name} -->).*?(<!-- /{name} -->)", lambda m, p=part: m[1] + p + m[2], text, flags=re.S)
+        text = fill_between(text, name, part)
     return text
 
 

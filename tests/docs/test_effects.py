@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from benchmarks.effects.verdicts import WORTH_DB
+from benchmarks.pages import fill_between
 
 from inpaint3d.scene.effects import DECIDED_IN, load
 from inpaint3d.scene.effects.description import Description
@@ -58,7 +59,7 @@ def write_measured() -> list[str]:
 
 def fill_in(text: str) -> str:
     for name, part in build_parts().items():
-        text = re.sub(rf"(<!-- {name} -->).*?(<!-- /{name} -->)", lambda m, p=part: m[1] + p + m[2], text, flags=re.S)
+        text = fill_between(text, name, part)
     return text
 
 
