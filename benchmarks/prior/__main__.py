@@ -81,8 +81,8 @@ def main() -> None:
             cv2.setRNGSeed(seed)  # shift maps are found by chance
             hole = torch.from_numpy(np.stack([draw(size, rng) for _ in truth])).float()[:, None]
             filled = {name: fill(truth, hole) for name, fill in choose_fills(priors, options.steps).items()}
-            for name, pictures in filled.items():
-                found.setdefault(name, []).append(judge.figures(pictures, hole))
+            for name, figures in judge.figures(filled, hole).items():
+                found.setdefault(name, []).append(figures)
             if seed == SEED:
                 write_png(options.grids / f"{kind}.png", grid(truth, hole, filled))
         masks[kind] = {name: over_draws(figures) for name, figures in found.items()}
@@ -254,13 +254,23 @@ class Judge:
         self.features = lite0_features(self.pictures)
         self.network = lpips.load("vgg")
 
-    def figures(self, filled: Tensor, hole: Tensor) -> dict[str, float]:
-        pictures = unit(filled)
-        distances = [self.network.distance(a, b) for a, b in zip(pictures, self.pictures, strict=True)]
+    def figures(self, filled: Mapping[str, Tensor], hole: Tensor) -> dict[str, dict[str, float]]:
+        """LPIPS, KID and PSNR of each fill of all photos; a truth's features are taken once for all fills."""
+        pictures = {name: unit(fill) for name, fill in filled.items()}
+        distances = np.mean(
+            [
+                self.network.distances([of_fill[i] for of_fill in pictures.values()], truth)
+                for i, truth in enumerate(self.pictures)
+            ],
+            axis=0,
+        )
         return {
-            "lpips": round(float(np.mean(distances)), 4),
-            "kid_lite0": round(kernel_distance(lite0_features(pictures), self.features), 5),
-            "psnr": round(float(hole_psnr(filled, self.truth, hole).mean()), 2),
+            name: {
+                "lpips": round(float(distance), 4),
+                "kid_lite0": round(kernel_distance(lite0_features(pictures[name]), self.features), 5),
+                "psnr": round(float(hole_psnr(fill, self.truth, hole).mean()), 2),
+            }
+            for (name, fill), distance in zip(filled.items(), distances, strict=True)
         }
 
 
