@@ -6,6 +6,7 @@ FOLDER is where `benchmarks.gpu` wrote its results; OUT becomes the diffusion-pr
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 from inpaint3d.contracts.models.artifacts import DiffusionPrior
 from inpaint3d.contracts.models.canonical import canonical_json
@@ -29,6 +30,13 @@ def join_pieces(folder: Path, name: str) -> bytes:
     return b"".join(path.read_bytes() for path in sorted(folder.glob(f"{name}.[0-9][0-9]")))
 
 
+def held_out_of(table: dict[str, Any]) -> dict[str, float]:
+    """An artifact's figures of held-out crops from those of the run, where it came so far."""
+    rows = {name: row for name, row in table.items() if isinstance(row, dict)}
+    found = {f"{figure}_{name}": float(value) for name, row in rows.items() for figure, value in row.items()}
+    return {"crops": float(table["crops"]), **found} if rows else {}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -39,7 +47,8 @@ def main() -> None:
     (options.out / WEIGHTS).write_bytes(join_pieces(options.folder, WEIGHTS))
     rows = ["step,loss,held_out_loss", *(",".join(map(str, row)) for row in trained["curve"])]
     (options.out / "training_curve.csv").write_text("\n".join(rows) + "\n")
-    manifest = build_manifest(options.out, "diffusion-prior", DiffusionPrior.model_validate(trained["metadata"]))
+    metadata = DiffusionPrior.model_validate(trained["metadata"] | {"held_out": held_out_of(trained.get("table", {}))})
+    manifest = build_manifest(options.out, "diffusion-prior", metadata)
     (options.out / MANIFEST).write_bytes(canonical_json(manifest.dump()))
     print(f"{options.out}: {trained['metadata']['steps']} steps")
 

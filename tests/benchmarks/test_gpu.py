@@ -37,6 +37,8 @@ def test_the_whole_run_goes_through_on_the_processor(tmp_path: Path) -> None:
     )  # fmt: skip
     prior = load_artifact(tmp_path / "prior", "diffusion-prior@1", DiffusionPrior)
     assert prior.metadata.steps == found["prior"]["trained"]["steps"] > 0
+    assert prior.metadata.held_out["crops"] == 2
+    assert prior.metadata.held_out["hole_psnr_sample"] == found["prior"]["table"]["sample"]["hole_psnr"]
     assert open_prior(prior).size == 32
 
 
