@@ -53,7 +53,8 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int, planes: S
     """The object on a view's picture -> bool [h, w].
 
     A box bounds the object; without one the reach round the points is unknown, and is found by stability (see
-    `_choose_stablest`). planes: of the scene, which an object stands on or hangs at.
+    `_choose_stablest`). planes: of the scene, which an object stands on or hangs at. Nothing is found where only the
+    points themselves would be.
     """
     shape = (view.camera.height, view.camera.width)
     depth = view.depth_at(view.camera.pixel_centres())
@@ -72,7 +73,9 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int, planes: S
         mask = _keep_marked(grabcut(features, _mark_points(trimap, prompts), rounds, seed), prompts.points)
         masks.append(mask)
         cut.append(float((reach[mask] > 0.95 * share).mean()) if mask.any() else 1.0)
-    return masks[_choose_stablest(masks, cut)]
+    found = masks[_choose_stablest(masks, cut)]
+    marked = _mark_points(np.full(shape, BACKGROUND, np.uint8), prompts) == OBJECT
+    return found if (found & ~marked).any() else np.zeros(shape, bool)
 
 
 def add_depth(image: Image, depth: Floats, middle: float | None) -> NDArray[np.uint8]:
