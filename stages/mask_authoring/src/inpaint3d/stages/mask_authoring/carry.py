@@ -99,7 +99,6 @@ def _refine(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, h
     pixels, points = _surface(view, around)
     doubted, denied = witnesses.judge(points)
     far = ~are_near(points, cloud, UNSEEN)
-    flat = how.surroundings.hold(points, view)
     outside, fresh = (_at(pixels, which, shown.shape) for which in (denied | far, ~doubted & ~far))
     core = shrink(shown, _pixels(CORE, shown)) & ~outside
     trimap = np.full(shown.shape, BACKGROUND, np.uint8)
@@ -109,7 +108,7 @@ def _refine(view: DepthView, shown: Bools, cloud: Cloud, witnesses: Witnesses, h
     trimap[(shown | fresh) & ~outside] = MAYBE_OBJECT
     trimap[core] = OBJECT
     # What the object stands on is seen anew from every side, in its colours where it is in its shade.
-    trimap[_at(pixels, flat, shown.shape) & ~shown] = BACKGROUND
+    trimap[how.surroundings.show(view) & ~shown] = BACKGROUND
     depth = view.depth_at(view.camera.pixel_centres())
     features = add_depth(view.image(), depth, middle_depth(depth[shown]))
     mask = grabcut(features, trimap, how.rounds, how.seed)

@@ -68,7 +68,7 @@ def segment_prompted(
     if not found.any():
         raise ConfigurationError(
             f"mask request: nothing was found at the points in view {prompts.view!r}; give more points on the object, "
-            "points beside it under `background`, or a box round it"
+            "points beside it under `background`, or a box round it; a part of a wall or of a floor is a `scribble`"
         )
     check_room_around(found, prompts.view)
     return found

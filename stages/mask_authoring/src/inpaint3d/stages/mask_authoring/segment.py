@@ -12,7 +12,7 @@ from inpaint3d.scene.colour import to_bytes
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.morphology import keep_parts_at
 from inpaint3d.scene.planes import Plane
-from inpaint3d.stages.mask_authoring.surroundings import lie_on
+from inpaint3d.stages.mask_authoring.surroundings import show_plane
 from inpaint3d.stages.mask_authoring.views import DepthView
 
 Floats = NDArray[np.float64]
@@ -53,7 +53,8 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int, planes: S
     """The object on a view's picture -> bool [h, w].
 
     A box bounds the object; without one the reach round the points is unknown, and is found by stability (see
-    `_choose_stablest`). planes: of the scene, which an object stands on or hangs at.
+    `_choose_stablest`). planes: of the scene, which an object stands on or hangs at. Nothing is found where only the
+    points themselves would be.
     """
     shape = (view.camera.height, view.camera.width)
     depth = view.depth_at(view.camera.pixel_centres())
@@ -63,7 +64,7 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int, planes: S
         trimap = _mark_points(_box_trimap(shape, prompts.box), prompts)
         return _keep_marked(grabcut(features, trimap, rounds, seed), prompts.points)
     reach = _reach_of(view, depth, prompts.points)
-    flat = _find_flat(view, depth, prompts.points, reach, planes)
+    flat = _find_flat(view, prompts.points, reach, planes)
     masks, cut = [], []
     for share in REACHES:
         trimap = np.full(shape, MAYBE_BACKGROUND, np.uint8)
@@ -72,7 +73,9 @@ def segment(view: DepthView, prompts: Prompts, rounds: int, seed: int, planes: S
         mask = _keep_marked(grabcut(features, _mark_points(trimap, prompts), rounds, seed), prompts.points)
         masks.append(mask)
         cut.append(float((reach[mask] > 0.95 * share).mean()) if mask.any() else 1.0)
-    return masks[_choose_stablest(masks, cut)]
+    found = masks[_choose_stablest(masks, cut)]
+    marked = _mark_points(np.full(shape, BACKGROUND, np.uint8), prompts) == OBJECT
+    return found if (found & ~marked).any() else np.zeros(shape, bool)
 
 
 def add_depth(image: Image, depth: Floats, middle: float | None) -> NDArray[np.uint8]:
@@ -144,18 +147,15 @@ def _choose_stablest(masks: list[Bools], cut: list[float]) -> int:
     return int(np.argmax(score >= score.max() - ALIKE))
 
 
-def _find_flat(view: DepthView, depth: Floats, points: Floats, reach: Floats, planes: Sequence[Plane]) -> Bools:
+def _find_flat(view: DepthView, points: Floats, reach: Floats, planes: Sequence[Plane]) -> Bools:
     """Pixels [h, w] a little away from the points that show a plane nobody pointed at, and that reaches beyond them."""
-    flat = np.zeros(depth.shape, bool)
-    known = np.isfinite(depth)
+    flat = np.zeros(reach.shape, bool)
     clicked, there = view.depth_at(points), np.isfinite(view.depth_at(points))
     if not there.any():
         return flat
     seeds = view.camera.unproject(points[there], clicked[there])
-    surface = view.camera.unproject(view.camera.pixel_centres()[known], depth[known])
     for plane in planes:
-        on_it = np.zeros(depth.shape, bool)
-        on_it[known] = lie_on(plane, surface, view)
+        on_it = show_plane(plane, view)
         pointed_at = plane.distance(seeds) <= CLICKED_PLANE * clicked[there]
         if not pointed_at.any() and on_it.any() and (reach[on_it] <= NEARBY).mean() < OWN_PLANE:
             flat |= on_it

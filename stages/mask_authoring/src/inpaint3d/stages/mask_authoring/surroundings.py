@@ -1,11 +1,13 @@
 """What an object stands on or hangs at: planes of the scene that it is no part of."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.scene.morphology import grow, shrink
 from inpaint3d.scene.planes import PLANE_PIXELS, Plane, fit_planes
 from inpaint3d.stages.mask_authoring.cloud import votes
 from inpaint3d.stages.mask_authoring.views import DepthView
@@ -23,6 +25,13 @@ class Surroundings:
 
     planes: Sequence[Plane] = ()
 
+    def show(self, view: DepthView) -> Bools:
+        """Pixels [h, w] of a view's picture that show one of the planes."""
+        shown = np.zeros((view.camera.height, view.camera.width), bool)
+        for plane in self.planes:
+            shown |= show_plane(plane, view)
+        return shown
+
     def hold(self, points: Floats, view: DepthView) -> Bools:
         """Which points [n, 3] that a view sees lie on one of the planes."""
         held = np.zeros(len(points), bool)
@@ -34,6 +43,21 @@ class Surroundings:
 def lie_on(plane: Plane, points: Floats, view: DepthView) -> Bools:
     """Which points [n, 3] that a view sees lie on a plane."""
     return plane.distance(points) < REACH * view.camera.project(points)[1]
+
+
+def show_plane(plane: Plane, view: DepthView) -> Bools:
+    """Pixels [h, w] of a view's picture that show a plane, in patches wider than a pixel of the depth map.
+
+    A plane is broad. Single pixels on it are where depth is wrong, or steps from a thing to what is behind it: where
+    such a step passes through a wall, the wall would show in the middle of what hangs at it.
+    """
+    xy = view.camera.pixel_centres()
+    depth = view.depth_at(xy)
+    known = np.isfinite(depth)
+    on_it = np.zeros(depth.shape, bool)
+    on_it[known] = lie_on(plane, view.camera.unproject(xy[known], depth[known]), view)
+    radius = max(1, math.ceil(view.camera.width / view.depth.shape[1] / 2))
+    return on_it & grow(shrink(on_it, radius), radius)
 
 
 def find_planes(points: NDArray[np.float32], views: Sequence[DepthView]) -> list[Plane]:
