@@ -6,6 +6,11 @@ from pathlib import Path
 from typing import Any
 
 
+def read_section(section: str, out: Path | None) -> dict[str, Any]:
+    """What a program has written into the file before; nothing where there is none."""
+    return json.loads(out.read_text()).get(section, {}) if out is not None and out.exists() else {}
+
+
 def conclude(section: str, figures: dict[str, Any], faults: list[str], out: Path | None) -> None:
     """Print a section with its faults, put it into the file `out` where one is given, and exit: 1 where faults are."""
     made = {section: figures | {"failed": len(faults), "faults": faults[:50]}}

@@ -17,9 +17,18 @@ def test_nothing_is_lost_half_there_or_wrong():
     assert sum(n for what, n in counts.items() if what.startswith("corrupted")) == 60
     assert sum(n for what, n in counts.items() if what.removeprefix("killed ") in (*VICTIMS, "group")) >= 3
     assert counts["killed and run to its end"] >= 1
-    assert {"corrupted checkpoint", "corrupted key", "corrupted lock", "corrupted object", "corrupted record"} < set(
-        counts
-    )
+    kinds = ("checkpoint", "database", "key", "lock", "object", "record")
+    assert {f"corrupted {kind}" for kind in kinds} < set(counts)
+
+
+def test_trials_are_added_to_those_before_them(tmp_path):
+    out = tmp_path / "reliability.json"
+    line = [sys.executable, "-W", "ignore", "-m", "tests.faults.trials", "--kills", "0", "--corruptions", "3", "--add"]
+    for seed in ("1", "2"):
+        subprocess.run([*line, "--seed", seed, "--out", str(out)], cwd=REPOSITORY, capture_output=True, check=True)
+    made = json.loads(out.read_text())["kills and corruptions"]
+    assert made["seeds"] == [1, 2]
+    assert sum(made["trials"].values()) == 6
 
 
 def test_damaged_inputs_are_read_or_refused_and_nothing_else(tmp_path):
