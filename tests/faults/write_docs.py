@@ -37,7 +37,8 @@ def _list_trials(found: dict[str, Any]) -> Iterator[tuple[str, int, str]]:
         yield kind, done[kind], failed
     for whom in (*VICTIMS, "group"):
         yield f"killed {whom}, runs of no-op stages", done[f"killed {whom}"], failed
-    yield "run to its end after kills, with the results of an undisturbed run", done["killed and run to its end"], failed
+    ended = done["killed and run to its end"]
+    yield "run to its end after kills, with the results of an undisturbed run", ended, failed
     yield "killed training of a field", training["trials"]["killed training"], _failed(training)
     ended = training["trials"]["killed and trained to its end"]
     yield "trained to its end after kills, with the same weights, bit for bit", ended, _failed(training)
