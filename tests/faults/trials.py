@@ -31,9 +31,8 @@ from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.housekeeping import collect, find_damage
 from inpaint3d.stages.pose_estimation.snapshots import restore_snapshot, save_snapshot
 from tests.faults.kills import VICTIMS, kill_runs
-from tests.faults.results import conclude, read_section
+from tests.faults.results import conclude_trials
 
-SECTION = "kills and corruptions"
 RESULTS = 4
 Counts = collections.Counter[str]
 
@@ -218,17 +217,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
     parser.add_argument("--add", action="store_true", help="to what is in the file: many trials, an hour at a time")
     given = parser.parse_args()
-    before = read_section(SECTION, given.out) if given.add else {}
     with tempfile.TemporaryDirectory() as folder:
         counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder), given.minutes)
-    trials = counts + Counts(before.get("trials", {}))
-    seeds = [*before.get("seeds", []), given.seed]
-    conclude(
-        SECTION,
-        {"seeds": seeds, "trials": dict(sorted(trials.items()))},
-        [*before.get("faults", []), *faults],
-        given.out,
-    )
+    conclude_trials("kills and corruptions", given.seed, counts, faults, given.out, add=given.add)
 
 
 if __name__ == "__main__":

@@ -46,7 +46,10 @@ def _list_trials(found: dict[str, Any]) -> Iterator[tuple[str, int, str]]:
     yield "kills that hit nobody: the process had ended", done[nobody] + training["trials"][nobody], "-"
     for what, times in found["write sites"]["writes"].items():
         kind, error = what.split()
-        yield f"writes of a {kind} told {TOLD[error]}, all that it has", times, _failed(found["write sites"])
+        fault = (
+            f"writes of a {kind} told {TOLD[error]}" if error in TOLD else f"a {kind} killed before one of its writes"
+        )
+        yield f"{fault}, all that it has", times, _failed(found["write sites"])
     inputs = found["damaged inputs"]["inputs"]
     total = sum(sum(outcomes.values()) for outcomes in inputs.values())
     yield f"damaged inputs of {len(inputs)} kinds, read or refused", total, _failed(found["damaged inputs"])
