@@ -1,4 +1,4 @@
-"""Write a golden instance of each schema version that has none yet, and a store: `python -m tests.contracts.make_golden`.
+"""Write golden instances of schema versions that have none yet, and a store: `python -m tests.contracts.make_golden`.
 
 The instances are what the stubs write. What is there is never touched: it stands for the data that exist out there.
 """

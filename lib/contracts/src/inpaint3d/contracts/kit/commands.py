@@ -4,7 +4,7 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import NoReturn
 
 from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun, from_os_error
@@ -12,7 +12,7 @@ from inpaint3d.contracts.kit.confine import confine, die_with_parent
 
 
 @contextlib.contextmanager
-def exit_on_error(title: str = "inpaint3d") -> Iterator[None]:
+def exit_on_error(title: str = "inpaint3d") -> Generator[None]:
     """A foreseen error of the body becomes a line on standard error and its exit code of `contracts.errors`."""
     try:
         yield

@@ -6,7 +6,7 @@ whose tensors are the files' bytes, hashed, on the disk before it is seen, in tw
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,7 @@ def restore_snapshot(path: Path) -> bool:
 
 
 @contextlib.contextmanager
-def keep_snapshots(path: Path) -> Iterator[Callable[[], None]]:
+def keep_snapshots(path: Path) -> Generator[Callable[[], None]]:
     """Keep what is worked on: now and then, whenever the function given is called, when interrupted, at the end."""
     kept = time.monotonic()
 
