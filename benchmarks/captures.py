@@ -112,10 +112,10 @@ def with_frames(store: FolderStore, artifact: Artifact[Capture], frames: Frames)
 def judge(
     artifact: Artifact[Capture], work: Path, *, database: Path | None = None, config: Config | None = None
 ) -> tuple[str, Solved | None, float]:
-    """What pose-estimation says, what it found, CPU seconds; with a database, features and matches are there."""
+    """What pose-estimation says, what it found, CPU seconds; with a snapshot of a database, what is in it."""
     work.mkdir(parents=True)
     if database is not None:
-        shutil.copyfile(database, work / "capture.db")
+        shutil.copyfile(database, work / database.name)
     logged: list[str] = []
 
     def emit(event: str, **values: object) -> None:
@@ -151,7 +151,7 @@ def rotation_errors(solved: Solved, frames: Sequence[CapturedFrame]) -> np.ndarr
 def study_cameras(store: FolderStore, scene: str, artifact: Artifact[Capture], work: Path) -> Iterator[Row]:
     said, passed, shared = judge(artifact, work / "right")
     yield Row(scene, "the cameras as they are", True, BY, said, round(shared, 1), passed is not None)
-    database = work / "right" / "capture.db"
+    database = work / "right" / "capture.db.safetensors"
     _, _, solving = judge(artifact, work / "again", database=database)
     for name, scramble in SCRAMBLED_CAMERAS.items():
         scrambled = with_frames(store, artifact, scramble(list(artifact.metadata.frames)))

@@ -1,6 +1,6 @@
-"""Write a golden instance of each schema version that has none yet: `python -m tests.contracts.make_golden`.
+"""Write golden instances of schema versions that have none yet, and a store: `python -m tests.contracts.make_golden`.
 
-The instances are what the stubs write. One that is there is never touched: it stands for the data that exist out there.
+The instances are what the stubs write. What is there is never touched: it stands for the data that exist out there.
 """
 
 import tempfile
@@ -11,7 +11,12 @@ from inpaint3d.contracts.models.artifacts import DiffusersPipeline, ImageCorpus,
 from inpaint3d.contracts.models.manifest import MANIFEST
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Store
+from inpaint3d.contracts.store.workspace import remove
 from tests.conftest import REPOSITORY
+from tests.faults.trials import build_store
+
+STORE = REPOSITORY / "tests" / "contracts" / "golden_store"
+"""Results, and the record of the run that made them, as a version of ours has kept them."""
 
 
 def main() -> None:
@@ -28,6 +33,9 @@ def main() -> None:
                 if not target.exists():
                     target.parent.mkdir(parents=True, exist_ok=True)
                     target.write_bytes((store.object_path(digest) / MANIFEST).read_bytes())
+    if not STORE.exists():
+        build_store(STORE)
+        remove(STORE / "locks")
 
 
 def _corpus(store: Store) -> str:

@@ -8,11 +8,13 @@ and cameras have a fuzzer of their own (`tests/fuzz_captures.py`), which watches
 
 import argparse
 import collections
+import contextlib
 import json
+import os
 import random
 import struct
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +189,19 @@ def fuzz(count: int, seed: int, folder: Path) -> tuple[dict[str, collections.Cou
     return counts, faults
 
 
+@contextlib.contextmanager
+def silence_libraries() -> Iterator[None]:
+    """Drop what libpng and others write to standard error of each picture that they refuse."""
+    kept = os.dup(2)
+    with Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
 def report(counts: dict[str, collections.Counter[str]]) -> dict[str, Any]:
     return {name: dict(sorted(outcomes.items())) for name, outcomes in counts.items()}
 
@@ -197,7 +212,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, silence_libraries():
         counts, faults = fuzz(given.count, given.seed, Path(folder))
     conclude("damaged inputs", {"seed": given.seed, "inputs": report(counts)}, faults, given.out)
 

@@ -3,6 +3,7 @@
 import json
 import resource
 import subprocess
+import sys
 
 from inpaint3d.contracts.kit.invocation import Invocation
 from inpaint3d.contracts.kit.upstream import build_command, store_externals
@@ -42,3 +43,26 @@ def test_no_room_for_the_capture_itself(cli, capture):
     assert list((store.root / "objects").iterdir()) == []
     assert cli("gc").returncode == 0
     assert list((store.root / "tmp").iterdir()) == []
+
+
+LOCK_A_KEY = """
+import sys
+from pathlib import Path
+from inpaint3d.contracts.errors import from_os_error
+from inpaint3d.contracts.store import FolderStore
+from tests.faults.write_sites import fail_at
+store = FolderStore(Path(sys.argv[1]))
+fail_at(1, "EROFS")
+try:
+    with store.lock("sha256:" + 64 * "0"):
+        pass
+except OSError as error:
+    print(from_os_error(error).exit_code)
+"""
+
+
+def test_a_lock_that_cannot_be_made_is_not_reported_as_one_that_is_missing(tmp_path):
+    """The folder of locks alone is read-only: nothing else says why there is no lock."""
+    line = [sys.executable, "-W", "ignore", "-c", LOCK_A_KEY, str(tmp_path / "store")]
+    told = subprocess.run(line, cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    assert told.stdout == "5\n"

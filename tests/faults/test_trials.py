@@ -17,9 +17,18 @@ def test_nothing_is_lost_half_there_or_wrong():
     assert sum(n for what, n in counts.items() if what.startswith("corrupted")) == 60
     assert sum(n for what, n in counts.items() if what.removeprefix("killed ") in (*VICTIMS, "group")) >= 3
     assert counts["killed and run to its end"] >= 1
-    assert {"corrupted checkpoint", "corrupted key", "corrupted lock", "corrupted object", "corrupted record"} < set(
-        counts
-    )
+    kinds = ("checkpoint", "database", "key", "lock", "object", "record")
+    assert {f"corrupted {kind}" for kind in kinds} < set(counts)
+
+
+def test_trials_are_added_to_those_before_them(tmp_path):
+    out = tmp_path / "reliability.json"
+    line = [sys.executable, "-W", "ignore", "-m", "tests.faults.trials", "--kills", "0", "--corruptions", "3", "--add"]
+    for seed in ("1", "2"):
+        subprocess.run([*line, "--seed", seed, "--out", str(out)], cwd=REPOSITORY, capture_output=True, check=True)
+    made = json.loads(out.read_text())["kills and corruptions"]
+    assert made["seeds"] == [1, 2]
+    assert sum(made["trials"].values()) == 6
 
 
 def test_damaged_inputs_are_read_or_refused_and_nothing_else(tmp_path):
@@ -31,13 +40,13 @@ def test_damaged_inputs_are_read_or_refused_and_nothing_else(tmp_path):
 
 
 def test_runs_and_stages_whose_write_fails_end_as_documented_and_go_on():
-    line = [sys.executable, "-W", "ignore", "-m", "tests.faults.write_sites", "--errors", "ENOSPC", "EMFILE"]
+    line = [sys.executable, "-W", "ignore", "-m", "tests.faults.write_sites", "--errors", "ENOSPC", "EMFILE", "KILL"]
     told = subprocess.run(
         [*line, "--first", "5", "--last", "5"], cwd=REPOSITORY, capture_output=True, text=True, check=False
     )
     assert told.returncode == 0, told.stdout + told.stderr
     writes = json.loads(told.stdout)["write sites"]["writes"]
-    assert writes == {"run ENOSPC": 1, "run EMFILE": 1, "stage ENOSPC": 1, "stage EMFILE": 1}
+    assert writes == {f"{kind} {error}": 1 for kind in ("run", "stage") for error in ("ENOSPC", "EMFILE", "KILL")}
 
 
 def test_gc_takes_nothing_from_those_who_commit(tmp_path):

@@ -1,6 +1,6 @@
 """The fit of a small field, killed at random moments until it ends: its weights are those of one that nobody killed.
 
-    python -m tests.faults.training_kills --kills 100 [--seed 0] [--out FILE.json]
+    python -m tests.faults.training_kills --kills 100 [--seed 0] [--out FILE.json [--add]]
 
 Exits with 1 where they were not, bit for bit, or where a fit could not go on.
 """
@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tests.faults.forks import await_until, fork, is_running, wait_for
 from tests.faults.kills import NOBODY, Trial
-from tests.faults.results import conclude
+from tests.faults.results import conclude_trials
 from tests.stability.test_faults import CONFIG, fit_it, start
 
 STEPS = 40
@@ -75,9 +75,10 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
+    parser.add_argument("--add", action="store_true", help="to what is in the file")
     given = parser.parse_args()
     counts, faults = carry_out(given.kills, given.seed)
-    conclude("kills of training", {"seed": given.seed, "trials": dict(sorted(counts.items()))}, faults, given.out)
+    conclude_trials("kills of training", given.seed, counts, faults, given.out, add=given.add)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Random faults, counted: kills of a run at any moment, and damage to whatever a store keeps.
 
-    python -m tests.faults.trials --kills 300 --corruptions 500 [--seed 0] [--out FILE.json]
+    python -m tests.faults.trials --kills 300 --corruptions 500 [--seed 0] [--out FILE.json [--add]]
 
 After each kill everything visible has to be whole. After a few, the same command is run again: it has to succeed, with
 the results of an undisturbed run, and no record may say that a run is still going on. After each corruption the store
@@ -10,10 +10,12 @@ removes nothing that a run needs. Exits with 1 where any of this failed once.
 
 import argparse
 import collections
+import contextlib
 import itertools
 import json
 import random
 import shutil
+import sqlite3
 import tempfile
 import time
 from pathlib import Path
@@ -27,8 +29,9 @@ from inpaint3d.contracts.store import FolderStore, Record
 from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.housekeeping import collect, find_damage
+from inpaint3d.stages.pose_estimation.snapshots import restore_snapshot, save_snapshot
 from tests.faults.kills import VICTIMS, kill_runs
-from tests.faults.results import conclude
+from tests.faults.results import conclude_trials
 
 RESULTS = 4
 Counts = collections.Counter[str]
@@ -148,6 +151,28 @@ def try_checkpoint(folder: Path, rng: random.Random) -> str | None:
     return None if harmless or found.read_bytes().endswith(b"1" * 100) else f"checkpoint {how}: gone on from damage"
 
 
+def try_database(folder: Path, rng: random.Random) -> str | None:
+    """One corruption of a database that is worked on, or of what was kept of it: it has to be as it was once kept."""
+    path = folder / "capture.db"
+    kept: list[bytes] = []
+    for picture in ("a.jpg", "b.jpg"):
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            database.execute("create table if not exists images (name text)")
+            database.execute("insert into images values (?)", (picture,))
+            database.commit()
+        save_snapshot(path)
+        kept.append(path.read_bytes())
+    newest, previous = (folder / f"capture.db{part}.safetensors" for part in ("", ".previous"))
+    target = rng.choice([path, newest, previous])
+    before = target.read_bytes()
+    how = damage_file(target, [p for p in (path, newest, previous) if p != target], rng)
+    whole = target != newest or (target.is_file() and target.read_bytes() == before)
+    if not restore_snapshot(path):
+        return f"database {how}: nothing was left of it"
+    wanted = kept[1] if whole else kept[0]
+    return None if path.read_bytes() == wanted else f"database, {target.name} {how}: gone on from damage"
+
+
 def carry_out(
     kills: int, corruptions: int, seed: int, folder: Path, minutes: float = float("inf")
 ) -> tuple[Counts, list[str]]:
@@ -162,8 +187,11 @@ def carry_out(
     for i in range(corruptions):
         place = folder / f"store-{i}"
         place.mkdir()
-        if rng.random() < 0.2:
+        drawn = rng.random()
+        if drawn < 0.15:
             count("corrupted checkpoint", try_checkpoint(place, rng))
+        elif drawn < 0.3:
+            count("corrupted database", try_database(place, rng))
         else:
             kind, fault = try_corruption(place, rng)
             count(f"corrupted {kind}", fault)
@@ -187,10 +215,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="no kill is begun later")
     parser.add_argument("--out", type=Path, help="a JSON file with a section of each of these programs")
+    parser.add_argument("--add", action="store_true", help="to what is in the file: many trials, an hour at a time")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         counts, faults = carry_out(given.kills, given.corruptions, given.seed, Path(folder), given.minutes)
-    conclude("kills and corruptions", {"seed": given.seed, "trials": dict(sorted(counts.items()))}, faults, given.out)
+    conclude_trials("kills and corruptions", given.seed, counts, faults, given.out, add=given.add)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Every place where a run writes, one after another, told that the disk is full, or fails, or is read-only.
+"""Every place where a run writes, one after another, told that the disk is full, or fails, or is read-only, or killed.
 
-    python -m tests.faults.write_sites [--errors ENOSPC EIO EROFS EMFILE] [--first 1] [--last 1000]
+    python -m tests.faults.write_sites [--errors ENOSPC EIO EROFS EMFILE KILL] [--first 1] [--last 1000]
 
 The n-th writing call of a process (a file opened for writing, a folder made, something renamed, linked or removed) in
-the store or the run's folder raises the error, for n = 1, 2, ... until a run has no n-th one. Each has to end with the
-code of that error, or well where what could not be written is needed by nobody; the same command without it has to
-succeed, and everything that can be seen has to be whole.
+the store or the run's folder raises the error, or is where the process is killed, for n = 1, 2, ... until a run has no
+n-th one. Each has to end with the code of that error, or well where what could not be written is needed by nobody; the
+same command without it has to succeed, and everything that can be seen has to be whole.
 """
 
 import argparse
@@ -14,6 +14,7 @@ import itertools
 import os
 import runpy
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable
@@ -33,15 +34,19 @@ from tests.faults.kills import start_run
 from tests.faults.results import conclude
 
 WIDTH = 1
-CODES = {"ENOSPC": 5, "EIO": 5, "EROFS": 5, "EMFILE": 75}
+KILL = "KILL"
+CODES = {"ENOSPC": 5, "EIO": 5, "EROFS": 5, "EMFILE": 75, KILL: -signal.SIGKILL}
 FIRED = "a fault was told of"
 WRITING = ("os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.symlink", "os.chmod")
 Become = Callable[[], None]
 """What a forked process does."""
 
 
-def fail_at(at: int, number: int) -> None:
-    """Have this process's n-th writing call in a store or a run's folder raise an OSError; what it starts is spared."""
+def fail_at(at: int, error: str) -> None:
+    """Have this process's n-th writing call in a store or a run's folder raise an OSError, or kill it.
+
+    What the process starts is spared.
+    """
     seen = 0
 
     def hook(event: str, arguments: tuple[Any, ...]) -> None:
@@ -53,7 +58,10 @@ def fail_at(at: int, number: int) -> None:
         if writes and any(part in str(arguments[0]) for part in ("/store/", "/runs/")):
             seen += 1
             if seen == at:
-                sys.stderr.write(f"{FIRED}\n")
+                os.write(2, f"{FIRED}\n".encode())
+                if error == KILL:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                number = getattr(errno, error)
                 raise OSError(number, os.strerror(number), str(arguments[0]))
 
     sys.addaudithook(hook)
@@ -92,10 +100,10 @@ KINDS: dict[str, Callable[[Path], Become]] = {"run": write_run, "stage": write_s
 
 def try_site(kind: str, error: str, at: int, folder: Path) -> tuple[bool, list[str]]:
     """Whether there is an n-th write, and what went wrong when it failed."""
-    become, said, number = KINDS[kind](folder), folder / "stderr.txt", getattr(errno, error)
+    become, said = KINDS[kind](folder), folder / "stderr.txt"
 
     def harmed() -> None:
-        fail_at(at, number)
+        fail_at(at, error)
         become()
 
     code = wait_for(fork(harmed, said))

@@ -1,6 +1,7 @@
 """A small Argo: executes emitted YAML with processes for pods, so that what the manifests say is what is tested.
 
 DAG order, parameters, fan-out, files from raw artifacts, retries by their expression, suspension, the exit handler;
+images that cannot be pulled, for which a pod waits until its deadline;
 the nodes of a Workflow's status as a real controller writes them, compressed where there are many; and what a namespace
 with `restricted` pod security, a quota and role-based access refuses.
 """
@@ -28,6 +29,8 @@ from inpaint3d.orchestrator.workflows import nodes_of
 Document = dict[str, Any]
 Values = dict[str, str]
 FAILED = ("Failed", "Error")
+PAST_DEADLINE = "Pod was active on the node longer than the specified deadline"
+"""What Kubernetes says of a pod that its `activeDeadlineSeconds` ended, also while it waited for its image."""
 
 
 @dataclass
@@ -54,6 +57,10 @@ class Argo:
     """What a person does where the Workflow waits at a node: patches it."""
     loses: Callable[[str, int], bool] = lambda where, attempt: False
     """Whether the node under a pod is lost at this attempt."""
+    lacks: Callable[[str], bool] = lambda image: False
+    """Whether an image cannot be pulled."""
+    look: "Callable[[Argo], None]" = lambda argo: None
+    """What somebody does while a pod waits for its image."""
     compress_from: int = 400
     """Of how many nodes on the controller keeps them compressed."""
     pods: list[Pod] = field(default_factory=list)
@@ -174,13 +181,22 @@ class Argo:
         strategy = template["retryStrategy"]
         for attempt in range(int(strategy["limit"]) + 1):
             root = self.folder / f"{zlib.crc32(where.encode())}" / str(attempt)
-            refused = self._refuse(template)
-            pod = Pod(where, "Error", "-1", "", refused) if refused else self._try(template, where, root, attempt)
+            place, node = (
+                f"{where}({attempt})",
+                {"type": "Pod", "templateName": template["name"], "boundaryID": boundary},
+            )
+            if refused := self._refuse(template):
+                pod = Pod(where, "Error", "-1", "", refused)
+            elif self.lacks(image := template["container"]["image"]):
+                back_off = f'ImagePullBackOff: Back-off pulling image "{image}"'
+                self._set_node(place, **node, phase="Pending", message=back_off)
+                self.look(self)
+                assert "activeDeadlineSeconds" in template, f"{where}: it would wait for ever"
+                pod = Pod(where, "Failed", "-1", "", PAST_DEADLINE)
+            else:
+                pod = self._try(template, where, root, attempt)
             self.pods.append(pod)
-            self._set_node(
-                f"{where}({attempt})", type="Pod", templateName=template["name"], boundaryID=boundary, phase=pod.phase,
-                message=pod.message,
-            )  # fmt: skip
+            self._set_node(place, **node, phase=pod.phase, message=pod.message)
             if pod.phase == "Succeeded":
                 outputs = template.get("outputs", {}).get("parameters", [])
                 return {p["name"]: _inside(root, p["valueFrom"]["path"]).read_text() for p in outputs}

@@ -16,7 +16,7 @@ from inpaint3d.orchestrator.emit.documents import check_types, dump
 from inpaint3d.orchestrator.emit.pods import RETRY
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import HERE, TOY, cluster, golden, submission
-from tests.kubernetes.simulator import Pod, evaluate
+from tests.kubernetes.simulator import PAST_DEADLINE, Pod, evaluate
 
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
 
@@ -113,12 +113,14 @@ def test_an_image_that_was_not_built_is_named():
 
 
 @pytest.mark.parametrize(
-    ("phase", "code", "again"),
-    [("Error", "-1", True), ("Failed", "75", True), ("Failed", "143", True), ("Failed", "-1", True),
-     ("Failed", "2", False), ("Failed", "3", False), ("Failed", "137", False), ("Failed", "1", False)],
+    ("phase", "code", "message", "again"),
+    [("Error", "-1", "pod deleted", True), ("Failed", "75", "", True), ("Failed", "143", "", True),
+     ("Failed", "-1", "The node was low on resource: memory.", True), ("Failed", "-1", PAST_DEADLINE, False),
+     ("Failed", "143", PAST_DEADLINE, False), ("Failed", "2", "", False), ("Failed", "3", "", False),
+     ("Failed", "137", "OOMKilled (exit code 137)", False), ("Failed", "1", "", False)],
 )  # fmt: skip
-def test_only_lost_pods_and_retryable_exits_are_tried_again(phase, code, again):
-    assert evaluate(RETRY, Pod("", phase, code, "")) is again
+def test_only_lost_pods_and_retryable_exits_are_tried_again(phase, code, message, again):
+    assert evaluate(RETRY, Pod("", phase, code, "", message)) is again
 
 
 def template_of(documents):

@@ -16,7 +16,7 @@ from inpaint3d.orchestrator.intake import MASK_REQUEST
 from inpaint3d.orchestrator.workflows import list_rows, supply_patch
 from tests.conftest import REPOSITORY
 from tests.kubernetes.manifests import cluster, submission
-from tests.kubernetes.simulator import Argo, StageFailedError
+from tests.kubernetes.simulator import PAST_DEADLINE, Argo, StageFailedError
 
 NOW = datetime.datetime.now(datetime.UTC)
 MASK = "mask: {kind: sphere, centre: [0, 0, 0], radius: 0.3}"
@@ -151,3 +151,17 @@ def test_a_failed_pod_says_why(store, tmp_path):
     (row,) = [row for row in list_rows(argo.workflow, NOW) if row.stage == "capture-ingest"]
     assert row.phase == "Failed"
     assert "Error (exit code 3): bad artifact: artifact sha256:000" in row.message
+
+
+def test_an_image_that_cannot_be_pulled_is_waited_for_until_the_deadline_and_noticed_meanwhile(store, tmp_path):
+    pipeline = Pipeline(REPOSITORY / "pipeline.yaml").under(None)
+    scene = Scene(name="kitchen", externals={"capture": capture(store, "kitchen")})
+    argo, workflow = started(store, pipeline, tmp_path, scenes=(scene,))
+    argo.lacks = lambda image: "capture-ingest" in image
+    seen = []
+    argo.look = lambda argo: seen.extend((row.stage, row.phase) for row in list_rows(argo.workflow, NOW))
+    assert argo.run(workflow) == "Failed"
+    assert seen == [("capture-ingest", "NoImage")], "once: it is not tried again"
+    phases = {row.stage: (row.phase, row.tries, row.message) for row in list_rows(argo.workflow, NOW)}
+    assert phases["capture-ingest"] == ("Failed", 1, PAST_DEADLINE)
+    assert History(store).latest("kitchen").status == "failed"

@@ -5,6 +5,8 @@ import json
 import os
 import re
 import sys
+import time
+from pathlib import Path
 
 import pytest
 import yaml
@@ -14,6 +16,7 @@ from inpaint3d.contracts.models.artifacts import Source
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore, Record, open_store
 from inpaint3d.orchestrator import cluster as clusters
+from inpaint3d.orchestrator.cluster_cli import status
 from inpaint3d.orchestrator.emit.argo import LEFT_OUT
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.history import History
@@ -122,6 +125,11 @@ def test_a_record_says_how_long_its_workflow_took(cli, store):
         run = History(store).latest(scene.name)
         assert 2400 <= run.wall_s < 3000
         assert datetime.datetime.fromisoformat(run.started) == began.replace(microsecond=0)
+        assert run.machine is None, "the recorder's says nothing of where the stages ran"
+    published = cli("publish", "kitchen", "--store", str(store.root))
+    assert published.returncode == 3, published.stderr
+    report = cli.runs / "kitchen" / "report.html"
+    assert "On a cluster, each stage on one of its machines." in report.read_text()
 
 
 @pytest.mark.parametrize("since", ["yesterday", "2026-05-01T10:35:56", "{{workflow.creationTimestamp}}"])
@@ -217,6 +225,17 @@ def test_status_says_where_each_stage_of_each_scene_is(cli, kubectl, tmp_path, n
     assert result.stdout.endswith("t-0000: Running\n")
 
 
+def test_status_is_repeated_until_all_is_over(kubectl, tmp_path, monkeypatch, capsys):
+    running, over = workflow(a=pod("ingest", "Running", 0)), workflow(a=pod("ingest", "Succeeded", 0, 2))
+    over["status"]["phase"] = "Succeeded"
+    (kubectl / "answer").write_text(json.dumps({"items": [running]}))
+    # Its work is done while the command waits.
+    monkeypatch.setattr(time, "sleep", lambda _: (kubectl / "answer").write_text(json.dumps({"items": [over]})))
+    _, path = configured(tmp_path)
+    status("test", cluster=Path(path), watch=True)
+    assert re.findall(r"t-0000: (\w+)", capsys.readouterr().out) == ["Running", "Succeeded"]
+
+
 def test_status_of_what_is_not_there_is_an_error(kubectl):
     (kubectl / "answer").write_text('{"items": []}')
     with pytest.raises(ConfigurationError, match="no Workflow of test"):
@@ -247,6 +266,16 @@ def test_logs_pass_over_pods_that_have_not_begun(kubectl):
         "[three] has printed nothing yet: Pending\n",
     ]
     assert "inpaint3d/template=test,inpaint3d/node=a" in calls(kubectl)[0][0]
+
+
+def test_logs_of_the_other_pods_are_told_where_one_has_none_any_more(kubectl):
+    running = [{"name": "main", "state": {"running": {}}}]
+    pods = [{"metadata": {"name": n}, "status": {"containerStatuses": running}} for n in ("gone", "here")]
+    (kubectl / "answer.get").write_text(json.dumps({"items": pods}))
+    (kubectl / "answer").unlink()
+    told = list(clusters.logs(cluster(), "test", None))
+    assert [line.partition("]")[0] for line in told] == ["[gone", "[here"]
+    assert all("has no log" in line and "the server is out" in line for line in told)
 
 
 def test_a_mask_is_given_to_its_scene_alone(store, kubectl, tmp_path):

@@ -19,7 +19,7 @@ from inpaint3d.orchestrator.configure import ConfiguredPipeline, configure_submi
 from inpaint3d.orchestrator.emit.argo import ASKED, LABEL, emit
 from inpaint3d.orchestrator.emit.check import check
 from inpaint3d.orchestrator.emit.documents import Document, dump
-from inpaint3d.orchestrator.history import History, this_machine
+from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import MASK_REQUEST, PAINTED, take_mask_request
 from inpaint3d.orchestrator.painting import take_painted
 from inpaint3d.orchestrator.plan import Planner, Selection, preview
@@ -209,7 +209,7 @@ def record(
             started=(since or now).isoformat(),
             finished=now.isoformat(),
             wall_s=wall_s,
-            machine=this_machine(),
+            machine=None,
             nodes=tuple(rows),
         )
         History(store).save(run)
@@ -249,7 +249,11 @@ def logs(cluster: ClusterSpec, name: str, node: str | None) -> Iterator[str]:
         if (reason := _explain_silence(pod)) is not None:
             yield f"[{title}] has printed nothing yet: {reason}\n"
             continue
-        for line in kubectl(cluster, "logs", title, "-c", MAIN).splitlines():
+        try:
+            said = kubectl(cluster, "logs", title, "-c", MAIN)
+        except ConfigurationError as error:  # it was removed, or its node is gone: the others still have theirs
+            said = f"has no log: {error}"
+        for line in said.splitlines():
             yield f"[{title}] {line}\n"
 
 

@@ -74,11 +74,8 @@ def runs(
 
 def serve_pages(get: Get, port: int) -> None:
     """Say where pages are served, and serve them until Ctrl-C."""
-    with PageServer(get, port=port) as server:
-        sys.stdout.write(f"open {server.url} in a browser of this machine; Ctrl-C here ends it\n")
-        sys.stdout.flush()
-        with contextlib.suppress(KeyboardInterrupt):
-            server.serve_forever()
+    with PageServer(get, port=port) as server, contextlib.suppress(KeyboardInterrupt):
+        server.announce_and_serve()
 
 
 def show(name: str, runs_dir: RunsPath = RUNS, store: StorePath = STORE, as_json: AsJson = False) -> None:

@@ -91,6 +91,12 @@ class PageServer(ThreadingHTTPServer):
     def url(self) -> str:
         return f"http://{LOOPBACK}:{self.server_port}/{self.token}/"
 
+    def announce_and_serve(self) -> None:
+        """Say on standard output where the pages are, and serve them until Ctrl-C, which the caller catches."""
+        sys.stdout.write(f"open {self.url} in a browser of this machine; Ctrl-C here ends it\n")
+        sys.stdout.flush()
+        self.serve_forever()
+
     def process_request(self, request: Any, client_address: Any) -> None:
         """A thread for each connection, up to a limit; what comes above it is closed."""
         if self._free.acquire(blocking=False):

@@ -70,7 +70,7 @@ class RunRecord(Closed):
     wall_s: float | None = None
     error: str | None = Field(default=None, description="why the run itself ended early, where no node says it")
     process: str | None = Field(default=None, description="what runs it, or ran it: `store.Owner`")
-    machine: Machine
+    machine: Machine | None = Field(description="what it ran on; None: a cluster, each stage on one of its machines")
     nodes: tuple[NodeRun, ...] = ()
 
     @property
@@ -163,7 +163,7 @@ class RunReport(Closed):
     preset: str | None
     status: str
     doubts: tuple[str, ...] = Field(default=(), description="why the results cannot be right: node: reason")
-    machine: Machine
+    machine: Machine | None = Field(description="what it ran on; None: a cluster, each stage on one of its machines")
     stages: tuple[StageFigures, ...]
     effects: tuple[EffectFigures, ...] = Field(default=(), description="empty until scene-analysis has run")
     protocols: tuple[Protocol, ...] = Field(description="empty until evaluation has run")

@@ -165,11 +165,12 @@ class Workspace:
                 return self._open_lock(path)
             if error.errno not in _NO_WRITING and os.access(self.root, os.W_OK):
                 raise
+            refusal = error
         try:
             return os.open(path, os.O_RDONLY)
         except OSError:
             if os.access(self.root, os.W_OK):
-                raise
+                raise refusal from None  # it says why there is none: the folder of locks alone cannot be written
             return None
 
     def sweep_tmp(self) -> None:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from inpaint3d.contracts.errors import BadInputError, Inpaint3dError, from_os_error
+from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.kit.commands import exit_on_error
 from inpaint3d.contracts.models.artifacts import ImageCorpus
 from inpaint3d.contracts.models.canonical import canonical_json
 from inpaint3d.contracts.models.manifest import MANIFEST, build_manifest
@@ -42,12 +43,8 @@ def main() -> None:
     parser.add_argument("--held-out", type=float, default=0.1, help="share of scenes for judging alone")
     parser.add_argument("--every", type=int, default=1, help="of a clip's frames take one in so many")
     options = parser.parse_args()
-    try:
+    with exit_on_error("corpus"):
         pictures = write_corpus(options.folder, options.out, held_out=options.held_out, every=options.every)
-    except (Inpaint3dError, OSError) as error:
-        failure = from_os_error(error) if isinstance(error, OSError) else error
-        sys.stderr.write(f"corpus: {failure.kind}: {failure}\n")
-        sys.exit(failure.exit_code)
     held_out = sum(picture.split == "test" for picture in pictures)
     scenes = len({picture.scene for picture in pictures})
     sys.stdout.write(f"{options.out}: {len(pictures)} pictures of {scenes} scenes, {held_out} pictures held out\n")

@@ -23,7 +23,8 @@ from typing import Any
 import torch
 from pydantic import ValidationError
 
-from inpaint3d.contracts.errors import BadInputError, ConfigurationError, Inpaint3dError, from_os_error
+from inpaint3d.contracts.errors import BadInputError, ConfigurationError
+from inpaint3d.contracts.kit.commands import exit_on_error
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus
 from inpaint3d.contracts.models.canonical import canonical_json
@@ -51,11 +52,8 @@ def main() -> None:
     torch.set_num_threads(1)
     device = join_ranks(options.device)
     try:
-        pretrain(options.corpus, options.out, _read_config(options.config), options.seed, options.prior, device)
-    except (Inpaint3dError, OSError) as error:
-        failure = from_os_error(error) if isinstance(error, OSError) else error
-        sys.stderr.write(f"pretrain: {failure.kind}: {failure}\n")
-        sys.exit(failure.exit_code)
+        with exit_on_error("pretrain"):
+            pretrain(options.corpus, options.out, _read_config(options.config), options.seed, options.prior, device)
     finally:
         leave_ranks()
 

@@ -8,10 +8,9 @@ alone writes there, under the key of a run that starts its ranks by itself, sinc
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
-from inpaint3d.contracts.errors import Inpaint3dError, from_os_error
+from inpaint3d.contracts.kit.commands import exit_on_error
 from inpaint3d.contracts.kit.context import Inputs
 from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.kit.keys import run_key
@@ -29,12 +28,8 @@ def main() -> None:
     parser.add_argument("--store", required=True, help="a folder, or s3://BUCKET/PREFIX")
     parser.add_argument("--invocation", type=Path, required=True)
     options, _ = parser.parse_known_args()
-    try:
+    with exit_on_error(f"rank {os.environ['RANK']}"):
         step_along(open_store(options.store), load_invocation(options.invocation))
-    except (Inpaint3dError, OSError) as error:
-        failure = from_os_error(error) if isinstance(error, OSError) else error
-        sys.stderr.write(f"rank {os.environ['RANK']}: {failure.kind}: {failure}\n")
-        sys.exit(failure.exit_code)
 
 
 def step_along(store: Store, invocation: Invocation) -> None:

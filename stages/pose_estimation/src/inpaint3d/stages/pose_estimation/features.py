@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.artifacts import CapturedFrame
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.snapshots import keep_snapshots, restore_snapshot
 
 # Between two chunks a stop is honoured; each takes a second or two.
 IMAGES_AT_ONCE = 8
@@ -40,17 +41,14 @@ def guess_camera(number: int, frames: Sequence[CapturedFrame], model: str) -> py
 
 
 def create_database(path: Path, cameras: Sequence[pycolmap.Camera], copy_of: Path | None = None) -> None:
-    """A database with these cameras under their own numbers; one that is there already is left alone."""
-    if path.exists():
+    """A database with these cameras under their own numbers; where one was kept before, it is that."""
+    if restore_snapshot(path):
         return
-    new = path.with_name(f"new-{path.name}")
-    new.unlink(missing_ok=True)
     if copy_of is not None:
-        shutil.copyfile(copy_of, new)
-    with pycolmap.Database.open(new) as database:
+        shutil.copyfile(copy_of, path)
+    with pycolmap.Database.open(path) as database:
         for camera in cameras:
             database.write_camera(camera, use_camera_id=True)
-    new.rename(path)
 
 
 def add_pictures(
@@ -64,15 +62,17 @@ def add_pictures(
     options.sift.max_num_features = config.features
     reader = pycolmap.ImageReaderOptions()
     done, total = 0, sum(len(names) for names in groups.values())
-    for number, names in groups.items():
-        reader.existing_camera_id = number
-        for chunk in chunks(names, IMAGES_AT_ONCE):
-            ctx.progress(done, total, "features")
-            pycolmap.extract_features(
-                database, folder, image_names=chunk, reader_options=reader, extraction_options=options,
-                device=pycolmap.Device.cpu,
-            )  # fmt: skip
-            done += len(chunk)
+    with keep_snapshots(database) as keep_when_due:
+        for number, names in groups.items():
+            reader.existing_camera_id = number
+            for chunk in chunks(names, IMAGES_AT_ONCE):
+                ctx.progress(done, total, "features")
+                pycolmap.extract_features(
+                    database, folder, image_names=chunk, reader_options=reader, extraction_options=options,
+                    device=pycolmap.Device.cpu,
+                )  # fmt: skip
+                done += len(chunk)
+                keep_when_due()
 
 
 def _number_pictures(path: Path, groups: Mapping[int, Sequence[str]]) -> None:
@@ -107,13 +107,15 @@ def match(database: Path, pairs: Pairs, ctx: Context, *, guided: bool = False) -
     listed = database.with_name(f"{database.stem}-pairs.txt")
     importing = pycolmap.ImportedPairingOptions()
     importing.match_list_path = listed
-    for i, chunk in enumerate(chunks(pairs, PAIRS_AT_ONCE)):
-        ctx.progress(i * PAIRS_AT_ONCE, len(pairs), "matching")
-        listed.write_text("".join(f"{a} {b}\n" for a, b in chunk))
-        pycolmap.match_image_pairs(
-            database, matching_options=matching, pairing_options=importing, verification_options=verification,
-            device=pycolmap.Device.cpu,
-        )  # fmt: skip
+    with keep_snapshots(database) as keep_when_due:
+        for i, chunk in enumerate(chunks(pairs, PAIRS_AT_ONCE)):
+            ctx.progress(i * PAIRS_AT_ONCE, len(pairs), "matching")
+            listed.write_text("".join(f"{a} {b}\n" for a, b in chunk))
+            pycolmap.match_image_pairs(
+                database, matching_options=matching, pairing_options=importing, verification_options=verification,
+                device=pycolmap.Device.cpu,
+            )  # fmt: skip
+            keep_when_due()
 
 
 def choose_pairs(names: list[str], *, ordered: bool, config: Config) -> Pairs:

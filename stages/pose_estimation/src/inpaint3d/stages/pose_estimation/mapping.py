@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from inpaint3d.contracts.errors import InterruptedRun
 from inpaint3d.contracts.kit.context import Context
 from inpaint3d.stages.pose_estimation.config import Config
+from inpaint3d.stages.pose_estimation.snapshots import restore_snapshot, save_snapshot
 
 
 @dataclass(frozen=True)
@@ -25,13 +26,11 @@ class Found:
 def estimate(database: Path, folder: Path, work: Path, config: Config, ctx: Context) -> Found:
     """Incremental mapping with a seed; models already found before a kill are read again."""
     done = work / "models"
-    if not done.exists():
-        new = work / "new-models"
-        shutil.rmtree(new, ignore_errors=True)
-        new.mkdir()
-        _map(database, folder, new, config, ctx)
-        new.rename(done)
-    models = [pycolmap.Reconstruction(p) for p in sorted(done.iterdir()) if (p / "images.bin").is_file()]
+    if not restore_snapshot(done):
+        done.mkdir()
+        _map(database, folder, done, config, ctx)
+        save_snapshot(done)
+    models = [pycolmap.Reconstruction(p) for p in sorted(done.glob("*")) if (p / "images.bin").is_file()]
     models.sort(key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
     return Found(models[0] if models else None, [m.num_reg_images() for m in models])
 

@@ -1,16 +1,13 @@
 """The stage's commands `view`, which serves the viewer until it is interrupted, and `video`, which writes a film."""
 
 import argparse
-import os
-import signal
 import sys
 from pathlib import Path
 from typing import NoReturn
 
 import torch
 
-from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun, from_os_error
-from inpaint3d.contracts.kit.confine import confine, die_with_parent
+from inpaint3d.contracts.kit.commands import carry_out_confined
 from inpaint3d.contracts.kit.page_server import PageServer
 from inpaint3d.contracts.models.artifacts import MaskSet, PosedCapture, RadianceFieldArtifact
 from inpaint3d.contracts.store import Store, open_store
@@ -27,15 +24,7 @@ FIELDS = ("inpainted", "original")
 def look(arguments: list[str]) -> NoReturn:
     """Do what the command line says, and exit with a code of `inpaint3d.contracts.errors`."""
     options = _parse(arguments)
-    try:
-        _carry_out(options)
-    except KeyboardInterrupt:
-        sys.exit(0)
-    except (Inpaint3dError, OSError) as error:
-        failure = from_os_error(error) if isinstance(error, OSError) else error
-        sys.stderr.write(f"inpaint3d: {failure.kind}: {failure}\n")
-        sys.exit(failure.exit_code)
-    sys.exit(0)
+    carry_out_confined(lambda: _carry_out(options), with_parent=options.die_with_parent)
 
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
@@ -60,10 +49,6 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
 
 
 def _carry_out(options: argparse.Namespace) -> None:
-    signal.signal(signal.SIGTERM, _leave)
-    confine()
-    if options.die_with_parent:
-        die_with_parent()
     torch.set_num_threads(options.threads)
     scene = open_scene(open_store(options.store), options)
     if options.command == "video":
@@ -73,9 +58,7 @@ def _carry_out(options: argparse.Namespace) -> None:
         return
     scene.warm_up()
     with PageServer(ViewerPages(scene).get, port=options.port) as server:
-        sys.stdout.write(f"open {server.url} in a browser of this machine; Ctrl-C here ends it\n")
-        sys.stdout.flush()
-        server.serve_forever()
+        server.announce_and_serve()
 
 
 def open_scene(store: Store, options: argparse.Namespace) -> ViewerScene:
@@ -96,7 +79,3 @@ def open_scene(store: Store, options: argparse.Namespace) -> ViewerScene:
 def _tell(index: int, count: int) -> None:
     if index % 24 == 0:
         sys.stderr.write(f"picture {index} of {count}\n")
-
-
-def _leave(_number: int, _frame: object) -> NoReturn:
-    os._exit(InterruptedRun.exit_code)

@@ -2,16 +2,12 @@
 
 import argparse
 import contextlib
-import os
-import signal
-import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
 import cv2
 
-from inpaint3d.contracts.errors import Inpaint3dError, InterruptedRun, from_os_error
-from inpaint3d.contracts.kit.confine import confine, die_with_parent
+from inpaint3d.contracts.kit.commands import carry_out_confined
 from inpaint3d.contracts.kit.page_server import PageServer
 from inpaint3d.contracts.models.artifacts import Capture, PosedCapture, RadianceFieldArtifact, Segmenter
 from inpaint3d.contracts.store import Artifact, open_store
@@ -26,15 +22,7 @@ THREADS = 1  # what the stage itself has, so that the page shows the masks that 
 def edit(arguments: list[str]) -> NoReturn:
     """Serve the page, and exit with a code of `inpaint3d.contracts.errors`."""
     options = _parse(arguments)
-    try:
-        _serve(options)
-    except KeyboardInterrupt:
-        sys.exit(0)
-    except (Inpaint3dError, OSError) as error:
-        failure = from_os_error(error) if isinstance(error, OSError) else error
-        sys.stderr.write(f"inpaint3d: {failure.kind}: {failure}\n")
-        sys.exit(failure.exit_code)
-    sys.exit(0)
+    carry_out_confined(lambda: _serve(options), with_parent=options.die_with_parent)
 
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
@@ -53,10 +41,6 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
 
 
 def _serve(options: argparse.Namespace) -> None:
-    signal.signal(signal.SIGTERM, _leave)
-    confine()
-    if options.die_with_parent:
-        die_with_parent()
     cv2.setNumThreads(THREADS)
     store = open_store(options.store)
 
@@ -72,10 +56,4 @@ def _serve(options: argparse.Namespace) -> None:
     )
     editor = Editor(options.title, subject, options.save, options.then, Config())
     with contextlib.closing(editor), PageServer(editor.get, editor.post, options.port) as server:
-        sys.stdout.write(f"open {server.url} in a browser of this machine; Ctrl-C here ends it\n")
-        sys.stdout.flush()
-        server.serve_forever()
-
-
-def _leave(_number: int, _frame: object) -> NoReturn:
-    os._exit(InterruptedRun.exit_code)
+        server.announce_and_serve()
