@@ -259,10 +259,11 @@ class Judge:
     def figures(self, filled: Tensor, hole: Tensor) -> dict[str, float]:
         pictures = unit(filled)
         distances = [self.network.distance(a, b) for a, b in zip(pictures, self.pictures, strict=True)]
+        decibels = hole_psnr(filled, self.truth, hole)
         return {
             "lpips": round(float(np.mean(distances)), 4),
             "kid_lite0": round(kernel_distance(lite0_features(pictures), self.features), 5),
-            "psnr": round(float(hole_psnr(filled, self.truth, hole).mean()), 2),
+            "psnr": round(float(decibels[~decibels.isinf()].mean()), 2),
         }
 
 
