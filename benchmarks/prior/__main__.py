@@ -268,10 +268,15 @@ class Judge:
             name: {
                 "lpips": round(float(distance), 4),
                 "kid_lite0": round(kernel_distance(lite0_features(pictures[name]), self.features), 5),
-                "psnr": round(float(hole_psnr(fill, self.truth, hole).mean()), 2),
+                "psnr": round(mean_psnr(hole_psnr(fill, self.truth, hole)), 2),
             }
             for (name, fill), distance in zip(filled.items(), distances, strict=True)
         }
+
+
+def mean_psnr(decibels: Tensor) -> float:
+    """Of the fills that are not the truth itself: those are infinite."""
+    return float(decibels[~decibels.isinf()].mean())
 
 
 def unit(pictures: Tensor) -> list[np.ndarray]:

@@ -4,14 +4,12 @@
 """
 
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 import torch
-from safetensors.torch import load_file
 
 from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.kit.context import Context
@@ -23,6 +21,14 @@ from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config
 from inpaint3d.stages.nerf_pretraining.fit import Known, fit
+from tests.stability.faults import (
+    Fault,
+    assert_checkpoint_is_finite,
+    assert_located,
+    break_next_gradient,
+    set_number,
+    watch,
+)
 
 SPEC = FieldSpec(
     grid=GridSpec(levels=3, coarsest=4, finest=16, log2_table=9, channels=2),
@@ -43,37 +49,16 @@ class Run(NamedTuple):
     messages: list[str]
 
 
-class Fault(NamedTuple):
-    """put: does the damage when the fit is at its third step, or at its last. said: what the message matches."""
-
-    what: str
-    put: Callable[[Run], None]
-    said: str
-
-
 def set_weight(name: str, value: float, at: tuple[int, int]) -> Callable[[Run], None]:
-    def put(run: Run) -> None:
-        with torch.no_grad():
-            dict(run.field.named_parameters())[name][at] = value
-
-    return put
+    return lambda run: set_number(_parameter(run, name), at, value)
 
 
 def break_gradient(name: str, value: float) -> Callable[[Run], None]:
-    """The next gradient of a tensor comes out broken in one number, as from a kernel that failed."""
+    return lambda run: break_next_gradient(_parameter(run, name), 3, value)
 
-    def put(run: Run) -> None:
-        parameter = dict(run.field.named_parameters())[name]
 
-        def spoil(gradient: torch.Tensor) -> torch.Tensor:
-            handle.remove()
-            spoilt = gradient.clone()
-            spoilt.view(-1)[3] = value
-            return spoilt
-
-        handle = parameter.register_hook(spoil)
-
-    return put
+def _parameter(run: Run, name: str) -> torch.Tensor:
+    return dict(run.field.named_parameters())[name]
 
 
 def break_batch(part: str, value: float) -> Callable[[Run], None]:
@@ -144,22 +129,10 @@ FAULTS = [
 ]
 
 
-def start(tmp_path: Path, fault: Fault | None, at: int, *, again: bool = False) -> Run:
-    """again: the fault comes back whenever the fit is at that step."""
+def start(tmp_path: Path, fault: Fault[Run] | None, at: int, *, again: bool = False) -> Run:
     pixels = Pixels.of(SCENE.cameras, list(SCENE.images), [None] * 4)
     known = Known(pixels, None, list(zip(SCENE.names, SCENE.cameras, strict=True)))
-    waiting = [fault] if fault else []
-
-    class Watched(Context):
-        def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
-            if done == at and waiting:
-                (waiting[0] if again else waiting.pop()).put(run)
-
-    messages: list[str] = []
-    ctx = Watched(
-        seed=0, device="cpu", threads=1, work=tmp_path,
-        emit=lambda event, **values: messages.append(values["message"]),
-    )  # fmt: skip
+    ctx, messages = watch(tmp_path, at, None if fault is None else lambda: fault.put(run), again=again)
     run = Run(RadianceField(SPEC, 0), known, ctx, messages)
     return run
 
@@ -170,31 +143,24 @@ def fit_it(run: Run, config: Config = CONFIG) -> None:
 
 @pytest.mark.parametrize("at", [2, STEPS - 1], ids=["third", "last"])
 @pytest.mark.parametrize("fault", FAULTS, ids=[f.what for f in FAULTS])
-def test_a_fault_that_comes_once_is_located_and_survived(tmp_path: Path, fault: Fault, at: int) -> None:
+def test_a_fault_that_comes_once_is_located_and_survived(tmp_path: Path, fault: Fault[Run], at: int) -> None:
     run = start(tmp_path, fault, at)
     fit_it(run)
     check_finite(run.field)
     assert run.ctx.health["rollbacks"] == 1
     assert len(run.messages) == 1
-    assert_said(run.messages[0], fault, at)
+    assert_located(run.messages, fault.said, at)
     assert "goes on from step 0 with half the learning rate" in run.messages[0]
 
 
-def assert_said(message: str, fault: Fault, at: int) -> None:
-    assert re.search(fault.said, message), message
-    assert re.search(rf"step {at}\b|after step {at + 1}\b", message), message
-    assert "lower the learning rate" not in message
-
-
 @pytest.mark.parametrize("fault", FAULTS[::2], ids=[f.what for f in FAULTS[::2]])
-def test_a_fault_that_comes_again_ends_the_fit_with_its_place(tmp_path: Path, fault: Fault) -> None:
+def test_a_fault_that_comes_again_ends_the_fit_with_its_place(tmp_path: Path, fault: Fault[Run]) -> None:
     run = start(tmp_path, fault, 2, again=True)
     with pytest.raises(NonFiniteError) as error:
         fit_it(run)
-    assert_said(str(error.value), fault, 2)
+    assert_located([str(error.value)], fault.said, 2)
     assert "went back 1 times before" in str(error.value)
-    kept = load_file(tmp_path / "checkpoint.safetensors")
-    assert all(tensor.isfinite().all() for tensor in kept.values() if tensor.is_floating_point())
+    assert_checkpoint_is_finite(tmp_path / "checkpoint.safetensors")
 
 
 def test_a_fit_without_faults_never_goes_back(tmp_path: Path) -> None:

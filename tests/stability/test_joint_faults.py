@@ -4,14 +4,13 @@
 """
 
 import math
-import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
-from safetensors.torch import load_file
 
 from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.kit.context import Context, Inputs
@@ -28,6 +27,14 @@ from inpaint3d.stages.joint_optimization.parallel import Ranks
 from inpaint3d.stages.joint_optimization.run import pose
 from tests.conftest import REPOSITORY
 from tests.room_artifacts import put_completed, put_masks, put_plan, put_posed, put_prior
+from tests.stability.faults import (
+    Fault,
+    assert_checkpoint_is_finite,
+    assert_located,
+    break_next_gradient,
+    set_number,
+    watch,
+)
 
 STAGE = REPOSITORY / "stages/joint_optimization"
 STEPS = 4
@@ -38,37 +45,21 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
 }
 
 
-class Fault(NamedTuple):
-    """put: does the damage when the loop is at its third step, or at its last. said: what the message matches."""
-
-    what: str
-    put: Callable[[Problem], None]
-    said: str
+@dataclass(frozen=True)
+class JointFault(Fault[Problem]):
     estimator: str = "sds"
 
 
 def set_weight(name: str, value: float, at: tuple[int, int]) -> Callable[[Problem], None]:
-    def put(problem: Problem) -> None:
-        with torch.no_grad():
-            dict(problem.field.named_parameters())[name][at] = value
-
-    return put
+    return lambda problem: set_number(_parameter(problem, name), at, value)
 
 
 def break_gradient(name: str, value: float) -> Callable[[Problem], None]:
-    """The next gradient that a step leaves at a tensor has a broken number; those of the curves are taken apart."""
+    return lambda problem: break_next_gradient(_parameter(problem, name), 3, value)
 
-    def put(problem: Problem) -> None:
-        parameter = dict(problem.field.named_parameters())[name]
 
-        def spoil(found: torch.Tensor) -> None:
-            handle.remove()
-            if found.grad is not None:
-                found.grad.view(-1)[3] = value
-
-        handle = parameter.register_post_accumulate_grad_hook(spoil)
-
-    return put
+def _parameter(problem: Problem, name: str) -> torch.Tensor:
+    return dict(problem.field.named_parameters())[name]
 
 
 def break_batch(part: str, value: float) -> Callable[[Problem], None]:
@@ -108,36 +99,38 @@ def break_guide(value: float) -> Callable[[Problem], None]:
 
 
 FAULTS = [
-    Fault("NaN in an entry of the table", set_weight("base.table", math.nan, (7, 1)), r"base\.table \(1, .*\[7, 1\]"),
-    Fault(
+    JointFault(
+        "NaN in an entry of the table", set_weight("base.table", math.nan, (7, 1)), r"base\.table \(1, .*\[7, 1\]"
+    ),
+    JointFault(
         "inf in a network's weight", set_weight("base.weights.0", math.inf, (3, 2)), r"base\.weights\.0 \(1, .*\[3, 2\]"
     ),
-    Fault("NaN in a table's gradient", break_gradient("base.table", math.nan), r"gradient\.base\.table \(1\)"),
-    Fault(
+    JointFault("NaN in a table's gradient", break_gradient("base.table", math.nan), r"gradient\.base\.table \(1\)"),
+    JointFault(
         "inf in a network's gradient", break_gradient("base.weights.1", math.inf), r"gradient\.base\.weights\.1 \(1\)"
     ),
-    Fault(
+    JointFault(
         "NaN in a known pixel's colour",
         break_batch("target", math.nan),
         r"loss\.reconstruction.*was given the first at \[5, 1\].*ray 5, view view_\d+, pixel \(\d+, \d+\)",
     ),
-    Fault(
+    JointFault(
         "NaN in the distance of a sparse point",
         break_batch("distance", math.nan),
         r"loss\.line_of_sight.*was given the first at \[2, \d+\]|loss\.line_of_sight.*the first at \[2\]",
     ),
-    Fault(
+    JointFault(
         "NaN in the prior's answer",
         break_guide(math.nan),
         r"view view_\d+, window of \d+ px at .*the guide of view view_\d+ answered what is not finite",
     ),
-    Fault(
+    JointFault(
         "inf in the answer of a guide to completed pictures",
         break_guide(math.inf),
         r"view view_\d+, window of \d+ px at .*the guide of view view_\d+ answered what is not finite",
         "completed-views",
     ),
-    Fault(
+    JointFault(
         "inf in a known or a made-up pixel's colour",
         break_batch("target", math.inf),
         r"loss\.reconstruction.*ray 5, view view_\d+, pixel \(\d+, \d+\)",
@@ -160,51 +153,35 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
 
 
 def optimise_with(
-    fault: Fault, inputs: Inputs, work: Path, at: int, *, again: bool
+    fault: JointFault, inputs: Inputs, work: Path, at: int, *, again: bool
 ) -> tuple[Problem, Context, list[str]]:
-    """again: the fault comes back whenever the loop is at that step."""
     tiny = load_yaml(STAGE / "tests/tiny.yaml")[0]
     tiny.pop("estimator")
     config = Config.model_validate(merge_parameters(tiny, {"steps": STEPS, "estimator": ESTIMATORS[fault.estimator]}))
     problem, _ = pose(config, inputs, 0, "cpu")
-    waiting = [fault]
-
-    class Watched(Context):
-        def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
-            if done == at and waiting:
-                (waiting[0] if again else waiting.pop()).put(problem)
-
-    messages: list[str] = []
-    emit = lambda event, **values: messages.append(values.get("message", ""))  # noqa: E731
-    ctx = Watched(seed=0, device="cpu", threads=1, work=work, emit=emit)
+    ctx, messages = watch(work, at, lambda: fault.put(problem), again=again)
     try:
         optimise(problem, ctx, Curves(), Ranks())
     except NonFiniteError as error:
         messages.append(str(error))
-    return problem, ctx, [message for message in messages if message]
-
-
-def assert_said(messages: list[str], fault: Fault, at: int) -> None:
-    said = [message for message in messages if re.search(fault.said, message)]
-    assert said, messages
-    assert all(re.search(rf"step {at}\b|after step {at + 1}\b", message) for message in said), said
-    assert not any("lower the learning rate" in message for message in messages)
+    return problem, ctx, messages
 
 
 @pytest.mark.parametrize("at", [2, STEPS - 1], ids=["third", "last"])
 @pytest.mark.parametrize("fault", FAULTS, ids=[f.what for f in FAULTS])
-def test_a_fault_that_comes_once_is_located_and_survived(tmp_path: Path, inputs: Inputs, fault: Fault, at: int) -> None:
+def test_a_fault_that_comes_once_is_located_and_survived(
+    tmp_path: Path, inputs: Inputs, fault: JointFault, at: int
+) -> None:
     problem, ctx, messages = optimise_with(fault, inputs, tmp_path, at, again=False)
     check_finite(problem.field)
     assert ctx.health["rollbacks"] == 1
-    assert_said(messages, fault, at)
+    assert_located(messages, fault.said, at)
     assert "goes on from step 0 with half the learning rate" in messages[-1]
 
 
 @pytest.mark.parametrize("fault", FAULTS[::3], ids=[f.what for f in FAULTS[::3]])
-def test_a_fault_that_comes_again_ends_with_its_place(tmp_path: Path, inputs: Inputs, fault: Fault) -> None:
+def test_a_fault_that_comes_again_ends_with_its_place(tmp_path: Path, inputs: Inputs, fault: JointFault) -> None:
     _, _, messages = optimise_with(fault, inputs, tmp_path, 2, again=True)
-    assert_said(messages, fault, 2)
+    assert_located(messages, fault.said, 2)
     assert "went back 1 times before" in messages[-1]
-    kept = load_file(tmp_path / "checkpoint.safetensors")
-    assert all(tensor.isfinite().all() for name, tensor in kept.items() if tensor.is_floating_point() and "." in name)
+    assert_checkpoint_is_finite(tmp_path / "checkpoint.safetensors")

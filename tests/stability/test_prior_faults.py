@@ -6,16 +6,15 @@
 import math
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
 
 from inpaint3d.contracts.errors import BadInputError, NonFiniteError
-from inpaint3d.contracts.kit.context import Context
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.training import TrainingState, check_finite_weights
 from inpaint3d.scene.synthetic import synthetic_scene
@@ -24,6 +23,7 @@ from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.pictures import KnownPicture
 from inpaint3d.stages.diffusion_training.teaching import begin_or_resume, lesson_of, train
 from tests.room_artifacts import PRIOR
+from tests.stability.faults import Fault, assert_checkpoint_is_finite, break_next_gradient, set_number, watch
 
 STEPS = 4
 ROOM = synthetic_scene(views=3)
@@ -38,14 +38,10 @@ class Run(NamedTuple):
     messages: list[str]
 
 
-class Fault(NamedTuple):
-    """put: does the damage after the second step, or before the last; early: before the first, since pictures are drawn
-    ahead. survived: a step is lost, and no more.
-    """
+@dataclass(frozen=True)
+class PriorFault(Fault[Run]):
+    """early: put in before the first step, since pictures are drawn ahead. survived: a step is lost, and no more."""
 
-    what: str
-    put: Callable[[Run], None]
-    said: str
     survived: bool = False
     early: bool = False
 
@@ -55,35 +51,19 @@ def _first_weight(run: Run) -> torch.Tensor:
 
 
 def set_weight(value: float) -> Callable[[Run], None]:
-    def put(run: Run) -> None:
-        with torch.no_grad():
-            _first_weight(run).view(-1)[5] = value
-
-    return put
+    return lambda run: set_number(_first_weight(run), 5, value)
 
 
 def set_average(run: Run) -> None:
-    with torch.no_grad():
-        next(run.state.average.parameters()).view(-1)[5] = math.nan
+    set_number(next(run.state.average.parameters()), 5, math.nan)
 
 
 def set_moment(run: Run) -> None:
-    run.state.optimiser.state[_first_weight(run)]["exp_avg"].view(-1)[5] = math.nan
+    set_number(run.state.optimiser.state[_first_weight(run)]["exp_avg"], 5, math.nan)
 
 
 def break_gradient(value: float) -> Callable[[Run], None]:
-    """The next gradient of a weight comes out broken in one number."""
-
-    def put(run: Run) -> None:
-        def spoil(gradient: torch.Tensor) -> torch.Tensor:
-            handle.remove()
-            spoilt = gradient.clone()
-            spoilt.view(-1)[5] = value
-            return spoilt
-
-        handle = _first_weight(run).register_hook(spoil)
-
-    return put
+    return lambda run: break_next_gradient(_first_weight(run), 5, value)
 
 
 def break_picture(value: float) -> Callable[[Run], None]:
@@ -98,45 +78,45 @@ def break_picture(value: float) -> Callable[[Run], None]:
 
 
 FAULTS = [
-    Fault(
+    PriorFault(
         "NaN in a weight",
         set_weight(math.nan),
         r"step \d.* not finite: network\.noise\.network\.0\.weight \(1, the first at \[0, 5\]\)",
     ),
-    Fault(
+    PriorFault(
         "inf in a weight",
         set_weight(math.inf),
         r"step \d.* not finite: network\.noise\.network\.0\.weight \(1, the first at \[0, 5\]\)",
     ),
-    Fault(
+    PriorFault(
         "NaN in the average of the weights",
         set_average,
         r"not finite after step \d: average\.network\.noise\.network\.0\.weight \(1, the first at \[0, 5\]\)",
     ),
-    Fault(
+    PriorFault(
         "NaN in a moment of Adam",
         set_moment,
         r"not finite after step \d: prior\.network.*optimiser\.exp_avg\.network\.noise\.network\.0\.weight \(1, ",
     ),
-    Fault(
+    PriorFault(
         "NaN in a gradient",
         break_gradient(math.nan),
         r"step \d of .* not finite: gradient of network\.noise\.network\.0\.weight \(1, .*it moved nothing",
         survived=True,
     ),
-    Fault(
+    PriorFault(
         "inf in a gradient",
         break_gradient(-math.inf),
         r"step \d of .* not finite: gradient of network\.noise\.network\.0\.weight \(1, .*it moved nothing",
         survived=True,
     ),
-    Fault(
+    PriorFault(
         "NaN in a picture",
         break_picture(math.nan),
         r"picture view_\d+ holds \d+ numbers that are not finite",
         early=True,
     ),
-    Fault(
+    PriorFault(
         "inf in a picture",
         break_picture(math.inf),
         r"picture view_\d+ holds \d+ numbers that are not finite",
@@ -145,17 +125,10 @@ FAULTS = [
 ]
 
 
-def run_training(work: Path, fault: Fault, at: int, precision: str) -> Run:
+def run_training(work: Path, fault: PriorFault, at: int, precision: str) -> Run:
     """Trains and writes the prior; the fault comes when `at` steps are done."""
 
-    class Watched(Context):
-        def progress(self, done: float, total: float, message: str = "", **figures: float) -> None:
-            if done == at and not fault.early:
-                fault.put(run)
-
-    messages: list[str] = []
-    emit = lambda event, **values: messages.append(values.get("message", ""))  # noqa: E731
-    ctx = Watched(seed=0, device="cpu", threads=1, work=work, emit=emit)
+    ctx, messages = watch(work, at, None if fault.early else lambda: fault.put(run))
     nothing = np.zeros(ROOM.images[0].shape[:2], bool)
     pictures = [
         KnownPicture(name, image * 2 - 1, nothing, nothing) for name, image in zip(ROOM.names, ROOM.images, strict=True)
@@ -184,7 +157,7 @@ CASES = [
 
 @pytest.mark.parametrize(("fault", "at", "precision"), CASES, ids=[f"{f.what}-{at}-{p}" for f, at, p in CASES])
 def test_a_fault_of_training_is_located_and_never_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Fault, at: int, precision: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: PriorFault, at: int, precision: str
 ) -> None:
     monkeypatch.setattr(teaching, "CHECKPOINT_S", 0.0)
     run = run_training(tmp_path, fault, at, precision)
@@ -193,8 +166,7 @@ def test_a_fault_of_training_is_located_and_never_kept(
     assert (tmp_path / "weights.safetensors").exists() == fault.survived
     if fault.early:
         return
-    kept = load_file(tmp_path / "checkpoint.safetensors")
-    check_finite_weights({name: tensor for name, tensor in kept.items() if "." in name})
+    assert_checkpoint_is_finite(tmp_path / "checkpoint.safetensors")
     if fault.survived:
         assert f"step {at + 1} " in said[0]
         assert run.state.step == STEPS

@@ -12,7 +12,7 @@ from inpaint3d.radiance.line_of_sight import opacity_before
 from inpaint3d.radiance.losses import charbonnier, depth_smoothness_loss, distortion
 from inpaint3d.radiance.optim import learning_rate
 from inpaint3d.radiance.spacing import Spacing, below_limit
-from inpaint3d.radiance.training import proposal_anneal, psnr, rays_at
+from inpaint3d.radiance.training import proposal_anneal, rays_at
 from inpaint3d.radiance.volume import alpha_weights, median_distance
 from tests.stability.catalogue import hard_case
 
@@ -332,22 +332,6 @@ def test_schedules_at_both_ends(step: int, steps: int) -> None:
         assert rate == pytest.approx(1e-3 * max(steps, 1) / step, rel=1e-9)
     assert 0 <= proposal_anneal(step, steps) <= 1
     assert 1 <= rays_at(step, first=1, last=512, ramp=steps) <= 512
-
-
-@hard_case(
-    RENDERING,
-    plain="max(NaN, x) is NaN or x, as they are ordered: a broken picture scored 100 dB",
-    ours="asked for finite numbers first: NaN",
-    swept="NaN, inf, -inf in one of 192 numbers; equal pictures 100 dB",
-)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, None])
-def test_psnr_of_the_learning_curve(value: float | None) -> None:
-    picture = torch.rand(8, 8, 3).numpy()
-    broken = picture.copy()
-    if value is not None:
-        broken[3, 4, 1] = value
-    score = psnr(broken, picture)
-    assert math.isnan(score) if value is not None else score == 100.0
 
 
 @hard_case(

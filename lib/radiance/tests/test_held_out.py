@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -47,6 +49,14 @@ def test_the_score_is_the_mean_over_photos_of_their_known_pixels_psnr(make) -> N
     photos = [photo(0.1), photo(0.01, half()), photo(0.3, np.zeros((30, 40), bool))]
     # 20 and 40 dB; the third photo has nothing to be judged by.
     assert make(photos, 10, "cpu").psnr(Grey(SPEC, 0), 7) == pytest.approx(30, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [HeldOut.on_lattice, HeldOut.at_random])
+def test_a_photo_that_the_field_equals_is_not_in_the_mean(make) -> None:
+    held_out = make([photo(0.1), photo(0.0)], 10, "cpu")
+    assert held_out.psnr_of_each(Grey(SPEC, 0), 7) == [pytest.approx(20, abs=1e-3), math.inf]
+    assert held_out.psnr(Grey(SPEC, 0), 7) == pytest.approx(20, abs=1e-3)
+    assert make([photo(0.0)], 10, "cpu").psnr(Grey(SPEC, 0), 7) is None
 
 
 @pytest.mark.parametrize("make", [HeldOut.on_lattice, HeldOut.at_random])

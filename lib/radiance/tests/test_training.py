@@ -17,7 +17,6 @@ from inpaint3d.radiance.training import (
     Pixels,
     descend,
     proposal_anneal,
-    psnr,
     rays_at,
     reconstruction,
     regularisers,
@@ -198,16 +197,3 @@ def test_weights_of_another_spec_are_refused(tmp_path: Path) -> None:
     (tmp_path / "b.safetensors").write_bytes(b"no weights")
     with pytest.raises(ArtifactError, match="cannot be read"):
         load_field(tmp_path / "b.safetensors", SPEC)
-
-
-def test_psnr() -> None:
-    truth = np.zeros((4, 4, 3))
-    assert psnr(truth + 0.1, truth) == pytest.approx(20)
-    assert psnr(truth, truth) == 100
-    known = np.zeros((4, 4), bool)
-    assert math.isnan(psnr(truth, truth, known))
-    known[0, 0] = True
-    noisy = truth.copy()
-    noisy[1:] = 1
-    noisy[0, 0] = 0.01
-    assert psnr(noisy, truth, known) == pytest.approx(40)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from inpaint3d.scene.cameras import Camera, look_at
+from inpaint3d.scene.psnr import psnr
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.evaluation.baselines import (
     interpolate_depth,
@@ -10,7 +11,6 @@ from inpaint3d.stages.evaluation.baselines import (
     nearest_photo_warped,
     ring_around,
 )
-from inpaint3d.stages.evaluation.metrics import psnr
 from inpaint3d.stages.evaluation.photos import Photo
 
 

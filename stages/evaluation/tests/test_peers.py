@@ -11,8 +11,9 @@ from torch_fidelity.metric_kid import mmd2
 from torchmetrics.functional.image import peak_signal_noise_ratio as torchmetrics_psnr
 from torchmetrics.functional.image import structural_similarity_index_measure as torchmetrics_ssim
 
+from inpaint3d.scene.psnr import psnr
 from inpaint3d.stages.evaluation.frechet import estimate_kernel_distance, frechet_distance
-from inpaint3d.stages.evaluation.metrics import psnr, ssim
+from inpaint3d.stages.evaluation.metrics import ssim
 
 SHAPES = [(48, 37, 3), (11, 11, 3), (12, 64, 3)]
 

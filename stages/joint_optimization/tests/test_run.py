@@ -22,7 +22,7 @@ from inpaint3d.diffusion.runtimes import OnnxNetwork, export_onnx
 from inpaint3d.diffusion.unet import EfficientUNet
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
-from inpaint3d.radiance.training import psnr
+from inpaint3d.scene.psnr import psnr
 from inpaint3d.scene.synthetic import SyntheticScene
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.curves import Curves

@@ -151,10 +151,11 @@ def set_texture(path: str):
     return change
 
 
-def test_a_stage_with_nan_is_refused(folder):
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_stage_with_a_number_that_is_not_finite_is_refused(folder, value):
     def change(stage: Usd.Stage) -> None:
         points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetPointsAttr().Get())
-        points[1, 2] = np.nan
+        points[1, 2] = value
         UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface")).GetPointsAttr().Set(points)
 
     with pytest.raises(NonFiniteError, match=r"original.*/Scene/Surface.points: 1 numbers are not finite"):

@@ -12,9 +12,9 @@ from inpaint3d.diffusion.samplers import inpaint
 
 
 def hole_psnr(filled: Image, truth: Image, mask: Mask) -> Float[Tensor, "b"]:
-    """PSNR over the hole alone, dB, of pictures in [-1, 1] (peak 2); one per picture."""
+    """PSNR over the hole alone, dB, of pictures in [-1, 1] (peak 2); one per picture, infinite where they are equal."""
     squared = ((filled - truth).square() * mask).sum(dim=(1, 2, 3)) / (3 * mask.sum(dim=(1, 2, 3)))
-    return 10 * torch.log10(4 / squared.clamp(min=1e-10))
+    return 10 * torch.log10(4 / squared)
 
 
 def fill_batch_telea(image: Image, mask: Mask, radius: float = 3.0) -> Image:

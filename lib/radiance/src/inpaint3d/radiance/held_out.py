@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.rays import Rays, camera_rays
 from inpaint3d.radiance.rendering import render
-from inpaint3d.radiance.training import psnr
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View
+from inpaint3d.scene.psnr import mean_psnr, psnr
 
 Colours = Float[np.ndarray, "n 3"]
 
@@ -54,10 +54,9 @@ class HeldOut:
     def psnr(self, field: RadianceField, block: int) -> float | None:
         """Mean over the photos of their PSNR in dB, mean appearance code; None where no photo has a known pixel.
 
-        block: rays rendered at once.
+        Photos that the field equals are not in it (`mean_psnr`). block: rays rendered at once.
         """
-        scores = self.psnr_of_each(field, block)
-        return math.fsum(scores) / len(scores) if scores else None
+        return mean_psnr(self.psnr_of_each(field, block))
 
     def psnr_of_each(self, field: RadianceField, block: int) -> list[float]:
         """The PSNR of each photo that has a known pixel, dB."""

@@ -114,14 +114,3 @@ def proposal_anneal(step: int, steps: int, slope: float = 10.0) -> float:
     """Power on the proposals' weights, 0 to 1 over `steps` (Mip-NeRF 360, arXiv:2111.12077, eq. 18)."""
     share = min(step / max(steps, 1), 1.0)
     return slope * share / ((slope - 1) * share + 1)
-
-
-def psnr(image: NDArray[np.floating], truth: NDArray[np.floating], known: NDArray[np.bool_] | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of values in [0, 1], over `known` pixels; at most 100.
-
-    NaN without any, and where a value is not finite.
-    """
-    squared = np.square(image.astype(np.float64) - truth)
-    chosen = squared if known is None else squared[known]
-    mean = float(chosen.mean()) if chosen.size else math.nan
-    return -10 * math.log10(max(mean, 1e-10)) if math.isfinite(mean) else math.nan

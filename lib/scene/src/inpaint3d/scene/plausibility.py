@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints, View
+from inpaint3d.scene.psnr import mean_psnr, psnr
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear
 
 MEAN_COLOUR, WARPED = "the mean colour of the photos", "the nearest photo, warped"
@@ -36,11 +37,11 @@ def doubt_field(
 ) -> list[str]:
     """What speaks against a field: its own figures, and `baselines` as of `measure_baselines`."""
     doubts: list[str] = []
-    for name, psnr in baselines.items():
-        if held_out_psnr is not None and held_out_psnr < psnr + LEAST_GAIN_DB[name]:
+    for name, reached in baselines.items():
+        if held_out_psnr is not None and held_out_psnr < reached + LEAST_GAIN_DB[name]:
             doubts.append(
-                f"views held out score {held_out_psnr:.1f} dB, {name} {psnr:.1f} dB: at least "
-                f"{psnr + LEAST_GAIN_DB[name]:.1f} dB are to be had"
+                f"views held out score {held_out_psnr:.1f} dB, {name} {reached:.1f} dB: at least "
+                f"{reached + LEAST_GAIN_DB[name]:.1f} dB are to be had"
             )
     if depth_error is not None and depth_error > LARGEST_DEPTH_ERROR:
         doubts.append(
@@ -111,8 +112,8 @@ def measure_completions(views: Sequence[CompletedHole]) -> float | None:
         xy, seen = correspondences(view.camera, view.depth, near.camera, near.depth, tolerance=0.05)
         seen &= view.hole
         if seen.sum() >= FEWEST_PIXELS:
-            scores.append(_measure_psnr(view.picture[seen], sample_bilinear(near.picture, xy[seen])))
-    return float(np.mean(scores)) if scores else None
+            scores.append(psnr(sample_bilinear(near.picture, xy[seen]), view.picture[seen]))
+    return mean_psnr(scores)
 
 
 def measure_baselines(train: Sequence[View], test: Sequence[View], points: SparsePoints) -> dict[str, float]:
@@ -120,10 +121,10 @@ def measure_baselines(train: Sequence[View], test: Sequence[View], points: Spars
     if not train or not test:
         return {}
     mean = np.mean([view.image()[::8, ::8].reshape(-1, 3).mean(0) for view in train], 0)
-    flat = [_measure_psnr(_sample_lattice(view)[0], mean) for view in test]
-    warped = [score for view in test if (score := _warp_nearest(view, train, points)) is not None]
-    found = {MEAN_COLOUR: float(np.mean(flat))}
-    return found | ({WARPED: float(np.mean(warped))} if warped else {})
+    colours = [_sample_lattice(view)[0] for view in test]
+    flat = mean_psnr(psnr(np.broadcast_to(mean, truth.shape), truth) for truth in colours)
+    warped = mean_psnr(score for view in test if (score := _warp_nearest(view, train, points)) is not None)
+    return {name: score for name, score in ((MEAN_COLOUR, flat), (WARPED, warped)) if score is not None}
 
 
 def _sample_lattice(view: View) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
@@ -146,8 +147,4 @@ def _warp_nearest(view: View, others: Sequence[View], points: SparsePoints) -> f
     depth = z[inside][np.argmin(apart, -1)]
     where, ahead = nearest.camera.project(view.camera.unproject(pixels, depth))
     seen = nearest.camera.inside(where, ahead)
-    return _measure_psnr(colours[seen], sample_bilinear(nearest.image(), where[seen])) if seen.any() else None
-
-
-def _measure_psnr(truth: ArrayLike, shown: ArrayLike) -> float:
-    return float(-10 * np.log10(max(np.mean((np.asarray(truth) - np.asarray(shown)) ** 2), 1e-12)))
+    return psnr(sample_bilinear(nearest.image(), where[seen]), colours[seen]) if seen.any() else None

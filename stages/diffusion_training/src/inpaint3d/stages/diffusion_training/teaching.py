@@ -30,6 +30,7 @@ from inpaint3d.diffusion.training import (
 from inpaint3d.perception.lpips import enlarge, load
 from inpaint3d.scene.finite import NonFinite, find_non_finite
 from inpaint3d.scene.image_io import Mask
+from inpaint3d.scene.psnr import mean_psnr
 from inpaint3d.stages.diffusion_training.ahead import make_ahead
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.pictures import Cropper, Picture
@@ -177,7 +178,8 @@ def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, floa
     image, hole, region = exam.image[taught], exam.hole[taught], region[taught]
     figures = {"crops": float(len(image))}
     for name, filled in fill_each_way(prior, image, hole, generator, steps=config.sample_steps).items():
-        figures[f"hole_psnr_{name}"] = float(hole_psnr(filled, image, region).mean())
+        if (score := mean_psnr(hole_psnr(filled, image, region).tolist())) is not None:
+            figures[f"hole_psnr_{name}"] = score
         figures[f"lpips_{name}"] = _measure_lpips(torch.where(region > 0, filled, image), image)
     return figures
 

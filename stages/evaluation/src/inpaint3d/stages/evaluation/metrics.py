@@ -1,6 +1,4 @@
-"""PSNR and SSIM of sRGB-encoded pictures in [0, 1], over all pixels or over a mask."""
-
-import math
+"""SSIM of sRGB-encoded pictures in [0, 1], over all pixels or over a mask."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,23 +8,6 @@ Mask = NDArray[np.bool_]
 
 WINDOW = 11
 SSIM_RADIUS = WINDOW // 2
-
-
-def psnr(image: Image, truth: Image, region: Mask | None = None) -> float:
-    """Peak signal-to-noise ratio, dB, over `region` ([h, w]; None: everywhere) and the three channels.
-
-    Infinite for equal pictures: `Scores.means` keeps that out of means. NaN where a value is not finite. Raises
-    ValueError where the region is empty or the shapes differ.
-    """
-    squared = np.square(_check(image, truth).astype(np.float64) - truth)
-    if region is not None:
-        squared = squared[region]
-    if squared.size == 0:
-        raise ValueError("PSNR over no pixel: the region is empty")
-    mean = float(squared.mean())
-    if not math.isfinite(mean):
-        return math.nan
-    return -10.0 * math.log10(mean) if mean > 0 else math.inf
 
 
 def ssim_map(image: Image, truth: Image) -> NDArray[np.float64]:

@@ -1,5 +1,6 @@
 """The protocols, one function each: what is compared with what, on which pixels."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -12,6 +13,7 @@ from inpaint3d.contracts.models.artifacts import Metric, Protocol
 from inpaint3d.perception import lpips
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.scene.image_io import Image
+from inpaint3d.scene.psnr import psnr
 from inpaint3d.scene.reprojection import warp_image
 from inpaint3d.stages.evaluation.baselines import (
     interpolate_depth,
@@ -26,7 +28,7 @@ from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import estimate_kernel_distance, frechet_distance
 from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures, reprojection_figures
 from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
-from inpaint3d.stages.evaluation.metrics import psnr, ssim
+from inpaint3d.stages.evaluation.metrics import ssim
 from inpaint3d.stages.evaluation.photos import Photo, camera_distance
 from inpaint3d.stages.evaluation.scores import Scores, metric
 
@@ -183,7 +185,7 @@ def score_held_out_samples(bench: Bench, photos: list[KnownPhoto], pixels: int) 
     """`held-out-samples`: what the learning curves of masked fits are taken over, so that they end at these figures."""
     for method in bench.methods:
         found = HeldOut.at_random(photos, pixels, bench.device).psnr_of_each(method.field, bench.config.block)
-        if broken := sum(not np.isfinite(value) for value in found):
+        if broken := sum(map(math.isnan, found)):
             bench.non_finite[f"{method.label}/{SAMPLES}"] = broken
             return []
         for number, value in enumerate(found):

@@ -9,6 +9,7 @@ from skimage.metrics import structural_similarity
 
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, Mask
+from inpaint3d.scene.psnr import mean_psnr, psnr
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.usd_export.rays import Caster
 
@@ -36,21 +37,17 @@ def render_mesh(caster: Caster, coordinates: NDArray[np.float32], texture: Image
 def measure_fidelity(
     caster: Caster, coordinates: NDArray[np.float32], texture: Image, photos: Sequence[HeldOutPhoto]
 ) -> tuple[float, float] | None:
-    """PSNR (dB) and SSIM over the known pixels, means over the photos; None where none has a known pixel."""
-    scores = []
-    for photo in photos:
-        if photo.known.any():
-            scores.append(_score(render_mesh(caster, coordinates, texture, photo.camera), photo))
-    if not scores:
-        return None
-    psnr, ssim = np.mean(scores, 0)
-    return float(psnr), float(ssim)
+    """PSNR (dB) and SSIM over the known pixels, means over the photos; None where no photo has a finite PSNR."""
+    scores = [
+        _score(render_mesh(caster, coordinates, texture, photo.camera), photo) for photo in photos if photo.known.any()
+    ]
+    mean = mean_psnr(decibels for decibels, _ in scores)
+    return None if mean is None else (mean, float(np.mean([similarity for _, similarity in scores])))
 
 
 def _score(picture: Image, photo: HeldOutPhoto) -> tuple[float, float]:
-    error = float(np.square(picture - photo.image)[photo.known].mean())
     window = min(7, min(photo.known.shape) // 2 * 2 - 1)
     similar = structural_similarity(photo.image, picture, win_size=window, channel_axis=-1, data_range=1.0, full=True)[
         1
     ]
-    return -10 * np.log10(max(error, 1e-12)), float(np.asarray(similar)[photo.known].mean())
+    return psnr(picture, photo.image, photo.known), float(np.asarray(similar)[photo.known].mean())
