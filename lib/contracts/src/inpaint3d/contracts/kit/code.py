@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urlparse
 
 from inpaint3d.contracts.errors import ConfigurationError
@@ -154,10 +155,11 @@ def _find_sources(project: Path) -> Iterator[str]:
 
 def _find_project(distribution: str) -> Path | None:
     """The checkout's folder of one of our own packages that is edited in place; None: installed from a wheel."""
-    origin = json.loads(importlib.metadata.distribution(distribution).read_text("direct_url.json") or "{}")
+    written = importlib.metadata.distribution(distribution).read_text("direct_url.json")
+    origin: dict[str, Any] = json.loads(written) if written else {}
     if not origin.get("dir_info", {}).get("editable"):
         return None
-    return Path(unquote(urlparse(str(origin["url"])).path))
+    return Path(unquote(str(urlparse(str(origin["url"])).path)))
 
 
 @functools.cache
