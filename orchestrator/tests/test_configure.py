@@ -159,7 +159,7 @@ def test_what_does_not_act_beside_what_is_read_is_refused(toy):
     assert configured(toy, "join.start=fresh", "join.steps=11").parameters["join"]["steps"] == 11
     expected = (
         r"join\.steps changes nothing where initial-field \(known\.radiance-field\) is read; "
-        r"it isn't under join\.start=fresh"
+        r"under join\.start=fresh it is not"
     )
     with pytest.raises(ConfigurationError, match=expected):
         configured(toy, "join.steps=11")

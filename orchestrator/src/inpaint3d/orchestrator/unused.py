@@ -57,4 +57,4 @@ def _say_ways(whole: Place, node: str, port: str) -> str:
         for value in place.choices
         if port not in place.reads.get(value, [])
     ]
-    return f"; it isn't under {' or '.join(ways)}" if ways else ""
+    return f"; under {' or '.join(ways)} it is not" if ways else ""
