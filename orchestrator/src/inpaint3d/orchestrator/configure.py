@@ -58,7 +58,7 @@ def configure(
     parameters = {node: combine_parameters(chosen, node, settings.preset, overrides) for node in chosen.order}
     pruned = prune(chosen, parameters, _list_wanted(chosen, settings), given)
     _refuse_overrides(pruned, overrides)
-    _refuse_unused(pruned.pipeline, parameters)
+    _refuse_unused(pruned.pipeline, parameters, given)
     _refuse_options(pruned, options or {})
     return ConfiguredPipeline(
         pipeline=pruned.pipeline,
@@ -99,10 +99,14 @@ def _refuse_overrides(pruned: PrunedPipeline, overrides: Overrides) -> None:
             )
 
 
-def _refuse_unused(pipeline: Pipeline, parameters: Mapping[str, Parameters]) -> None:
+def _refuse_unused(pipeline: Pipeline, parameters: Mapping[str, Parameters], given: Collection[str]) -> None:
     for node in pipeline.order:
-        found = find_unused(parameter_schema(pipeline, node), parameters[node], pipeline.references(node), node)
-        for problem in found:
+        there = {
+            port: [r for r in references if not r.startswith("external.") or r.partition(".")[2] in given]
+            for port, references in pipeline.references(node).items()
+        }
+        read = {port: references for port, references in there.items() if references}
+        for problem in find_unused(parameter_schema(pipeline, node), parameters[node], read, node):
             raise ConfigurationError(problem)
 
 
