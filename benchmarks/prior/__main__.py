@@ -26,6 +26,7 @@ order, truth) show the photos, which are not the project's to publish: they go t
 
 import argparse
 import json
+import math
 import statistics
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -50,6 +51,7 @@ from inpaint3d.diffusion.samplers import inpaint
 from inpaint3d.orchestrator.history import this_machine
 from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.psnr import mean_psnr
 from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import kernel_distance
 
@@ -268,15 +270,10 @@ class Judge:
             name: {
                 "lpips": round(float(distance), 4),
                 "kid_lite0": round(kernel_distance(lite0_features(pictures[name]), self.features), 5),
-                "psnr": round(mean_psnr(hole_psnr(fill, self.truth, hole)), 2),
+                "psnr": round(mean_psnr(hole_psnr(fill, self.truth, hole).tolist()) or math.nan, 2),
             }
             for (name, fill), distance in zip(filled.items(), distances, strict=True)
         }
-
-
-def mean_psnr(decibels: Tensor) -> float:
-    """Of the fills that are not the truth itself: those are infinite."""
-    return float(decibels[~decibels.isinf()].mean())
 
 
 def unit(pictures: Tensor) -> list[np.ndarray]:

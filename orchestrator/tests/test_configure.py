@@ -142,3 +142,31 @@ def test_a_control_that_runs_anyway_is_scored_only_where_it_is_asked_for(toy):
     assert plain.pipeline.references("score") == {"fields": ["join.radiance-field"]}
     assert plain.pipeline.references("join")["initial-field"] == ["known.radiance-field"]
     assert "known.radiance-field" in compared.pipeline.references("score")["fields"]
+
+
+def say_of(toy, words, **properties):
+    """Let the schema of `join` say more of its parameters."""
+    file = toy.path.parent / "schemas" / "parameters" / "join.json"
+    schema = json.loads(file.read_text())
+    for name, said in properties.items():
+        schema["properties"][name] |= {words: said}
+    file.write_text(json.dumps(schema))
+
+
+def test_what_does_not_act_beside_what_is_read_is_refused(toy):
+    say_of(toy, "x-without", steps="initial-field")
+    configured(toy)
+    assert configured(toy, "join.start=fresh", "join.steps=11").parameters["join"]["steps"] == 11
+    expected = (
+        r"join\.steps changes nothing where initial-field \(known\.radiance-field\) is read; "
+        r"under join\.start=fresh it is not"
+    )
+    with pytest.raises(ConfigurationError, match=expected):
+        configured(toy, "join.steps=11")
+
+
+def test_what_acts_only_beside_what_is_not_read_is_refused(toy):
+    say_of(toy, "x-with", steps="initial-field")
+    assert configured(toy, "join.steps=11").parameters["join"]["steps"] == 11
+    with pytest.raises(ConfigurationError, match=r"join\.steps changes nothing where no initial-field is read"):
+        configured(toy, "join.start=fresh", "join.steps=11")

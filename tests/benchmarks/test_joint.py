@@ -1,7 +1,7 @@
 """The rule that chooses the default, on figures made up for it."""
 
 import pytest
-from benchmarks.joint.__main__ import add, read, rows_of, table
+from benchmarks.joint.__main__ import add, read, rows_of
 from benchmarks.joint.rows import (
     BASELINES,
     ESTIMATORS,
@@ -14,6 +14,7 @@ from benchmarks.joint.rows import (
     shortfalls,
     spread,
 )
+from benchmarks.joint.table import table
 
 from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.orchestrator.parameters import resolve_parameters
@@ -102,11 +103,32 @@ def test_a_scene_outside_the_rule_changes_no_choice_and_takes_the_chosen_row_alo
         rows_of("bear", {})
 
 
-def test_a_row_of_the_table_names_the_processors_it_was_timed_on(tmp_path):
-    out = tmp_path / "joint.json"
-    for seed, processor in enumerate(("Alpha", "Beta")):
-        run = GOOD | dict.fromkeys(FIGURES, 0.5) | {"wall_s": 1.0, "cpu_s": 1.0, "seed": seed, "processor": processor}
-        add(out, "demo", "sds", run, None, quick=False)
-    (row,) = [line for line in table(read(out)).splitlines() if line.startswith("| sds ")]
+def write_runs(out, row, commit, **runs):
+    """A file with runs of a row: processor -> LPIPS."""
+    for seed, (processor, lpips) in enumerate(runs.items()):
+        run = GOOD | dict.fromkeys(FIGURES, 0.5) | {"wall_s": 1.0, "cpu_s": 1.0, "lpips_vgg": lpips, "seed": seed}
+        add(out, "demo", row, run | {"processor": processor, "commit": commit}, None, quick=False)
+    return read(out)
+
+
+def test_a_row_of_the_table_names_the_processors_and_the_code_it_was_measured_with(tmp_path):
+    (row,) = [
+        line
+        for line in table(write_runs(tmp_path / "joint.json", "sds", "c0ffee012", Alpha=0.2, Beta=0.2), {}).splitlines()
+        if line.startswith("| sds ")
+    ]
     assert row.startswith("| sds | 2 | ")
-    assert row.endswith(" | Alpha, Beta |")
+    assert row.endswith(" | Alpha, Beta | c0ffee0 |")
+
+
+def test_a_table_says_what_became_of_an_earlier_one(tmp_path):
+    earlier = write_runs(tmp_path / "old.json", "sds", "aaaaaaa1", Alpha=0.2, Beta=0.3)
+    write_runs(tmp_path / "new.json", "no-prior", "bbbbbbb1", Alpha=0.5)
+    text = table(write_runs(tmp_path / "new.json", "sds", "bbbbbbb1", Alpha=0.4), earlier)
+    (row,) = [line for line in text.splitlines() if "->" in line and line.startswith("| sds ")]
+    assert (
+        row
+        == "| sds | 2, 1 | 0.50 -> 0.50, 0.00 | 0.500 -> 0.500, 0.000 | 0.250 -> 0.400, 0.071 | aaaaaaa -> bbbbbbb |"
+    )
+    assert "took the object's request anew" in text
+    assert "Rule:" not in text, "some rows that it is about were not measured"

@@ -2,8 +2,10 @@
 
 import pytest
 
+from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
-from inpaint3d.orchestrator.parameters import combine_parameters
+from inpaint3d.orchestrator.configure import Settings, configure
+from inpaint3d.orchestrator.parameters import combine_parameters, parse_overrides
 from tests.conftest import REPOSITORY
 
 PIPELINE = Pipeline(REPOSITORY / "pipeline.yaml")
@@ -79,3 +81,25 @@ def test_what_is_compared_with_the_result_takes_as_many_steps():
             continued["rays"],
             continued["loss_weights"],
         ), preset
+
+
+@pytest.mark.parametrize(
+    ("assignment", "port"),
+    [
+        ("joint-optimization.architecture.view_width=32", "initial-field"),
+        ("joint-optimization.optimizer.proposal_anneal_steps=5", "initial-field"),
+        ("masked-reconstruction.optimizer.warm_start_lr_scale=0.5", "initial-field"),
+    ],
+)
+def test_what_a_field_s_start_leaves_without_effect_is_refused(assignment, port):
+    asked = Settings("standard", parse_overrides(PIPELINE, [assignment]))
+    with pytest.raises(ConfigurationError, match=f"{assignment.partition('=')[0]} changes nothing where .*{port}"):
+        configure(PIPELINE, asked, {"capture"})
+
+
+@pytest.mark.parametrize("preset", PIPELINE.spec.spec.presets)
+def test_every_parameter_of_a_preset_acts(preset):
+    configured = configure(
+        PIPELINE, Settings(preset, compare=True, named=("diffusion-training",)), {"capture", "pretrained-prior"}
+    )
+    assert "joint-optimization" in configured.pipeline.nodes

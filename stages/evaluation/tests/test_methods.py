@@ -7,10 +7,11 @@ from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.radiance.fields import RadianceField, Samples
 from inpaint3d.radiance.io import save_field
 from inpaint3d.scene.cameras import Camera, look_at
+from inpaint3d.stages.evaluation.bench import Bench
 from inpaint3d.stages.evaluation.config import Config
+from inpaint3d.stages.evaluation.hole_protocols import score_neighbouring_views
 from inpaint3d.stages.evaluation.methods import Method
 from inpaint3d.stages.evaluation.photos import Photo
-from inpaint3d.stages.evaluation.protocols import Bench, score_neighbouring_views
 
 SPEC = FieldSpec(
     proposal_grid=GridSpec(levels=2, coarsest=4, finest=8, log2_table=8, channels=1),

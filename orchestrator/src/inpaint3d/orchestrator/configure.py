@@ -8,8 +8,10 @@ from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.cluster import Submission
 from inpaint3d.contracts.models.pipeline import Parameters, Pipeline
 from inpaint3d.contracts.models.report import NodeRun
+from inpaint3d.orchestrator.parameter_schema import parameter_schema
 from inpaint3d.orchestrator.parameters import SEED, Overrides, combine_parameters
 from inpaint3d.orchestrator.prune import PrunedPipeline, prune
+from inpaint3d.orchestrator.unused import find_unused
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,14 @@ def configure(
     """Resolve the parameters of every node, whether it runs or not, and keep what is wanted.
 
     given: the externals that there are. options: of these, what the command line gave, as it gave it (`--mask FILE`).
-    Raises ConfigurationError for a wrong parameter, and for an override or an option that would change nothing.
+    Raises ConfigurationError for a wrong parameter, and for a parameter or an option that would change nothing.
     """
     chosen = pipeline.under(settings.preset)
     overrides = settings.overrides
     parameters = {node: combine_parameters(chosen, node, settings.preset, overrides) for node in chosen.order}
     pruned = prune(chosen, parameters, _list_wanted(chosen, settings), given)
     _refuse_overrides(pruned, overrides)
+    _refuse_unused(pruned.pipeline, parameters, given)
     _refuse_options(pruned, options or {})
     return ConfiguredPipeline(
         pipeline=pruned.pipeline,
@@ -94,6 +97,17 @@ def _refuse_overrides(pruned: PrunedPipeline, overrides: Overrides) -> None:
                 f"--set {node}.{next(iter(values))} changes nothing: {node} is left out ({pruned.left_out[node]}); "
                 f"{pruned.remedy(node)}"
             )
+
+
+def _refuse_unused(pipeline: Pipeline, parameters: Mapping[str, Parameters], given: Collection[str]) -> None:
+    for node in pipeline.order:
+        there = {
+            port: [r for r in references if not r.startswith("external.") or r.partition(".")[2] in given]
+            for port, references in pipeline.references(node).items()
+        }
+        read = {port: references for port, references in there.items() if references}
+        for problem in find_unused(parameter_schema(pipeline, node), parameters[node], read, node):
+            raise ConfigurationError(problem)
 
 
 def _refuse_options(pruned: PrunedPipeline, options: Mapping[str, str]) -> None:

@@ -165,6 +165,17 @@ class Environment:
 
     runner: RunnerName = "process"
     images: Images = IMAGES
+    engine: Engine = None
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How a run goes on, whatever it is asked for."""
+
+    log_format: LogFormat = "auto"
+    wait: Wait = False
+    replace: Replace = False
+    accept_doubtful: AcceptDoubtful = False
 
 
 def with_options(command: Callable[..., Any]) -> Callable[..., Any]:

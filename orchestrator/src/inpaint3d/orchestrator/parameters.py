@@ -32,7 +32,7 @@ def resolve_parameters(pipeline: Pipeline, node: str, chosen: Parameters) -> Par
     Raises ConfigurationError naming the parameter, its value and what is allowed.
     """
     schema = parameter_schema(pipeline, node)
-    whole = _fill(schema, chosen)
+    whole = fill_defaults(schema, chosen)
     config = _find_config(pipeline.stages[node])
     if config is None or not _is_valid(config, whole):
         for problem in _find_problems(schema, schema, whole, node, node):
@@ -42,7 +42,7 @@ def resolve_parameters(pipeline: Pipeline, node: str, chosen: Parameters) -> Par
     return whole
 
 
-def _fill(place: Place, value: Any) -> Any:
+def fill_defaults(place: Place, value: Any) -> Any:
     """A value with the defaults of its groups; a group's bare kind spelled out; whole numbers as the schema has them.
 
     One value has one spelling, so that it has one key.
@@ -54,9 +54,9 @@ def _fill(place: Place, value: Any) -> Any:
         if (group := place.group_of(given)) is None:
             return given
         merged = cast(Parameters, merge_parameters(group.defaults | _take_kind(given), given))
-        return {n: _fill(group.properties[n], v) if n in group.properties else v for n, v in merged.items()}
+        return {n: fill_defaults(group.properties[n], v) if n in group.properties else v for n, v in merged.items()}
     if isinstance(value, list) and (items := place.items) is not None:
-        return [_fill(items, item) for item in cast(list[Any], value)]
+        return [fill_defaults(items, item) for item in cast(list[Any], value)]
     return _fill_number(place, value)
 
 

@@ -1,17 +1,18 @@
-"""What a run leaves where a person looks: report.html, scene.usdz, metrics.json, pictures/, plates/ in `runs/NAME/`."""
+"""Leave in `runs/NAME/` what a person looks at: the report, metrics.json, and the results that `results.py` names."""
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
 from inpaint3d.contracts.models.report import AccuracyCourse, EffectFigures, RunRecord, RunReport, StageFigures
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.contracts.store.workspace import remove
 from inpaint3d.orchestrator.accuracy import follow_accuracy
 from inpaint3d.orchestrator.effects import read_effects
 from inpaint3d.orchestrator.pages.report import render_report
+from inpaint3d.orchestrator.results import EVALUATION, METRICS, RESULTS
 
 REPORT = "report.html"
 
@@ -22,27 +23,17 @@ def publish(store: Store, record: RunRecord, folder: Path) -> RunReport:
     What the run has no result for goes: nothing of an earlier run lies beside the report of this one.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    outputs = {n.node: n.outputs for n in record.nodes}
-    protocols: tuple[Any, ...] = ()
     course = follow_accuracy(store, record)
-    if digest := outputs.get("evaluation", {}).get("evaluation"):
-        artifact = store.open(digest, Evaluation)
-        protocols = artifact.metadata.protocols
-        _copy_pictures(artifact.root, artifact.metadata.pictures, folder / "pictures")
-    else:
-        remove(folder / "pictures")
-    if digest := outputs.get("usd-export", {}).get("usd-scene"):
-        scene = store.open(digest, UsdScene)
-        _write(folder / "scene.usdz", scene.path(scene.metadata.package).read_bytes())
-    else:
-        remove(folder / "scene.usdz")
-    if digest := outputs.get("plate-export", {}).get("clean-plates"):
-        _copy_plates(store.open(digest, CleanPlates), folder / "plates")
-    else:
-        remove(folder / "plates")
-    effects = read_effects(store, record)
-    report = make_report(record, protocols, effects, course)
-    _write(folder / "metrics.json", (report.model_dump_json(indent=2) + "\n").encode())
+    for result in RESULTS:
+        artifact = result.open(store, record)
+        if artifact is None:
+            remove(folder / result.place)
+        else:
+            _copy(artifact, result.list_files(artifact.metadata), folder / result.place)
+    scores = EVALUATION.open(store, record)
+    protocols = () if scores is None else scores.metadata.protocols
+    report = make_report(record, protocols, read_effects(store, record), course)
+    _write(folder / METRICS, (report.model_dump_json(indent=2) + "\n").encode())
     _write(folder / REPORT, render_report(store, record, folder, course).encode())
     return report
 
@@ -53,21 +44,8 @@ def make_report(
     effects: tuple[EffectFigures, ...] = (),
     course: AccuracyCourse | None = None,
 ) -> RunReport:
-    stages = tuple(
-        StageFigures(
-            node=n.node,
-            status=n.status,
-            reason=n.reason,
-            cached=n.cached,
-            wall_s=n.wall_s,
-            cpu_s=n.cpu_s,
-            peak_memory_bytes=n.peak_memory_bytes,
-            key=n.key,
-            outputs=n.outputs,
-            non_finite=n.non_finite,
-        )
-        for n in record.nodes
-    )
+    """What metrics.json says of a run."""
+    figures = StageFigures.model_fields
     return RunReport(
         name=record.name,
         run=record.id,
@@ -75,7 +53,7 @@ def make_report(
         status=record.status,
         doubts=record.doubts,
         machine=record.machine,
-        stages=stages,
+        stages=tuple(StageFigures.model_validate({name: getattr(n, name) for name in figures}) for n in record.nodes),
         effects=effects,
         protocols=protocols,
         course=course,
@@ -84,26 +62,20 @@ def make_report(
 
 def read_report(folder: Path) -> dict[str, Any]:
     """metrics.json as it stands in a run's folder."""
-    return json.loads((folder / "metrics.json").read_text())
+    return json.loads((folder / METRICS).read_text())
 
 
-def _copy_pictures(root: Path, pictures: tuple[str, ...], target: Path) -> None:
-    shutil.rmtree(target, ignore_errors=True)
-    target.mkdir()
-    for picture in pictures:
-        _write(target / Path(picture).name, (root / picture).read_bytes())
-
-
-def _copy_plates(plates: Artifact[CleanPlates], target: Path) -> None:
-    """The data set as other tools read it, whole or not at all."""
+def _copy(artifact: Artifact[Any], files: Mapping[str, str], target: Path) -> None:
+    """Files of an artifact as one file or folder, whole or not at all; `files`: path below the target -> artifact's."""
     staged = target.with_name(f".{target.name}.new")
-    shutil.rmtree(staged, ignore_errors=True)
-    record = plates.metadata
-    files = [*record.model, record.transforms, *(f for p in record.plates for f in (p.picture, p.mask))]
-    for file in files:
-        (staged / file).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(plates.path(file), staged / file)
-    shutil.rmtree(target, ignore_errors=True)
+    remove(staged)
+    if "" not in files:
+        staged.mkdir()
+    for inside, file in files.items():
+        (staged / inside).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(artifact.path(file), staged / inside)
+    if target.is_dir() or staged.is_dir():  # a file is put over a file in one step
+        remove(target)
     staged.replace(target)
 
 

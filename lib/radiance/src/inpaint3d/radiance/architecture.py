@@ -6,7 +6,7 @@ Imports no array library: the parameters are checked where no field is made.
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
 from inpaint3d.contracts.models.base import Closed, Positive, Share
@@ -17,6 +17,13 @@ Log2 = Annotated[int, Field(ge=4, le=28)]
 
 # Spherical harmonics of degrees 0 to 3.
 DIRECTION_COMPONENTS = 16
+
+
+SAMPLED_BY = {
+    "proposal": ("proposal_samples", "proposal_levels", "proposal_finest", "proposal_log2_table"),
+    "density-grid": ("density_cells", "density_bins"),
+}
+"""The parameters that one sampler alone looks at."""
 
 
 class Architecture(Closed):
@@ -48,6 +55,14 @@ class Architecture(Closed):
     glo: Count = Field(default=4, description="length of the appearance codes, where the plan has exposure on (N6)")
     near_share: Share = Field(default=0.1, description="where rays start, as a share of the capture's centre depth")
     far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
+
+    @model_validator(mode="after")
+    def _check_sampler(self) -> "Architecture":
+        for sampler, names in SAMPLED_BY.items():
+            for name in names if sampler != self.sampler else ():
+                if getattr(self, name) != Architecture.model_fields[name].default:
+                    raise ValueError(f"sampler {self.sampler} has no {name}; set sampler: {sampler}, or leave it out")
+        return self
 
 
 class Level(NamedTuple):

@@ -29,6 +29,7 @@ from inpaint3d.orchestrator.pages.orbit import Orbit, build_orbit
 from inpaint3d.orchestrator.pages.pictures import Strip, cut_strip, fit_into
 from inpaint3d.orchestrator.pages.tables import list_views, make_table
 from inpaint3d.orchestrator.pages.verdict import KNOWN, TRUTH, find_metrics, judge
+from inpaint3d.orchestrator.results import LOGS, METRICS, RESULTS
 from inpaint3d.orchestrator.times import render_times
 from inpaint3d.report.page import render
 
@@ -37,7 +38,6 @@ PACKAGE = "inpaint3d.orchestrator.pages"
 STRIPS_BYTES = 3 * 2**20
 """Of the views side by side, as files: with the orbit and base64's third the page stays under 10 MB."""
 LOG_BYTES = 4000
-RESULTS = ("scene.usdz", "metrics.json", "pictures", "plates", "logs")
 
 
 @dataclass(frozen=True)
@@ -133,15 +133,16 @@ class Page:
     @property
     def results(self) -> list[str]:
         """What lies beside the page."""
-        return [name for name in RESULTS if (self.folder / name).exists() or name == "metrics.json"]
+        names = [METRICS, *(result.place for result in RESULTS), LOGS]
+        return [name for name in names if (self.folder / name).exists() or name == METRICS]
 
     @property
     def logs(self) -> list[str]:
-        return [n.node for n in self.record.nodes if (self.folder / "logs" / f"{n.node}.log").is_file()]
+        return [n.node for n in self.record.nodes if (self.folder / LOGS / f"{n.node}.log").is_file()]
 
     def _read_log(self, node: str) -> str:
         try:
-            data = (self.folder / "logs" / f"{node}.log").read_bytes()
+            data = (self.folder / LOGS / f"{node}.log").read_bytes()
         except OSError:
             return ""
         return data[-LOG_BYTES:].decode("utf-8", "replace").strip()

@@ -5,13 +5,15 @@ name the files that changed. What counts as a change: docs/adr/0009.
 """
 
 import functools
+import importlib.machinery
 import importlib.metadata
 import json
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urlparse
 
 from inpaint3d.contracts.errors import ConfigurationError
@@ -27,6 +29,8 @@ CODE_FOLDER = "code"
 # Everything that a stage computes with lives in these; the rest of a package's folder (tests, docs) does not count.
 SOURCE_FOLDERS = ("src", "csrc")
 SOURCE_SUFFIXES = (".py", ".cpp", ".hpp", ".h", ".txt", ".json", ".html", ".j2")
+# Of what is compiled a wheel has the result in place of the source.
+INSTALLED_SUFFIXES = (*SOURCE_SUFFIXES, *importlib.machinery.EXTENSION_SUFFIXES)
 
 Listing = dict[str, str]
 """`python` and PACKAGE -> version; of our own packages PACKAGE/PATH -> digest."""
@@ -103,20 +107,41 @@ def list_code(distribution: str) -> Listing:
     listing: Listing = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
     for name in find_requirements(distribution):
         if name.startswith(PREFIX):
-            listing |= {f"{name}/{path}": digest for path, digest in digest_sources(_find_project(name)).items()}
+            listing |= {f"{name}/{path}": digest for path, digest in _digest_package(name).items()}
         else:
             listing[name] = _read_metadata(name)[0]
     return listing
 
 
+def _digest_package(distribution: str) -> dict[str, Digest]:
+    project = _find_project(distribution)
+    return digest_installed(distribution) if project is None else digest_sources(project)
+
+
 @functools.cache
 def digest_sources(project: Path) -> dict[str, Digest]:
     """Path -> digest of the source files of a package's folder: of Python what it runs, of all others the bytes."""
-    found: dict[str, Digest] = {}
-    for inside in sorted(_find_sources(project)):
-        path = project / inside
-        found[inside] = digest_python(path) if path.suffix == ".py" else file_digest(path)
-    return found
+    return _digest_files({inside: project / inside for inside in _find_sources(project)})
+
+
+@functools.cache
+def digest_installed(distribution: str) -> dict[str, Digest]:
+    """The same of a package that was installed from a wheel: where nothing is compiled, equal to that of its source."""
+    namespace, source = PREFIX.rstrip("-"), SOURCE_FOLDERS[0]
+    files = [
+        file
+        for file in importlib.metadata.distribution(distribution).files or ()
+        if file.parts[0] == namespace and file.name.endswith(INSTALLED_SUFFIXES)
+    ]
+    if not files:
+        raise ConfigurationError(f"{distribution} is installed without a list of its files; install it again")
+    return _digest_files({f"{source}/{file.as_posix()}": Path(str(file.locate())) for file in files})
+
+
+def _digest_files(paths: Mapping[str, Path]) -> dict[str, Digest]:
+    return {
+        name: digest_python(path) if path.suffix == ".py" else file_digest(path) for name, path in sorted(paths.items())
+    }
 
 
 def _find_sources(project: Path) -> Iterator[str]:
@@ -128,15 +153,13 @@ def _find_sources(project: Path) -> Iterator[str]:
             yield from (f"{inside}/{n}" for n in files if n.endswith(SOURCE_SUFFIXES) and not n.startswith("."))
 
 
-def _find_project(distribution: str) -> Path:
-    """The folder that one of our own packages was installed from."""
-    origin = importlib.metadata.distribution(distribution).read_text("direct_url.json")
-    project = Path(unquote(urlparse(str(json.loads(origin)["url"])).path)) if origin else None
-    if project is None or not (project / "src").is_dir():
-        raise ConfigurationError(
-            f"{distribution} is installed without its source, and {IMAGE_DIGEST} is not set; set it to the image's"
-        )
-    return project
+def _find_project(distribution: str) -> Path | None:
+    """The checkout's folder of one of our own packages that is edited in place; None: installed from a wheel."""
+    written = importlib.metadata.distribution(distribution).read_text("direct_url.json")
+    origin: dict[str, Any] = json.loads(written) if written else {}
+    if not origin.get("dir_info", {}).get("editable"):
+        return None
+    return Path(unquote(str(urlparse(str(origin["url"])).path)))
 
 
 @functools.cache

@@ -47,9 +47,12 @@ class Config(Closed):
     start: Literal["pretrained-prior", "fresh"] = Field(
         default="pretrained-prior",
         description="where the weights start: from the pretrained prior, if one is wired, or from nothing (the paper)",
+        json_schema_extra={"x-reads": {"pretrained-prior": ["pretrained-prior"], "fresh": []}},
     )
     prior: PriorSpec = Field(
-        default=SMALL, description="architecture and conditioning; a pretrained prior brings its own"
+        default=SMALL,
+        description="architecture and conditioning; a pretrained prior brings its own",
+        json_schema_extra={"x-without": "pretrained-prior"},
     )
     steps: Annotated[int, Field(ge=0)] = Field(default=260, description="training steps; 2,250,000 in the paper (D12)")
     batch: Count = Field(default=8, description="crops of a part of a step (D12); memory is that of one part")

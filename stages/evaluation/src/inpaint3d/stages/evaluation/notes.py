@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from inpaint3d.contracts.models.artifacts import MaskSet, Metric, Protocol
 from inpaint3d.stages.evaluation import prior
-from inpaint3d.stages.evaluation import protocols as names
+from inpaint3d.stages.evaluation import protocol_names as names
 
 CONTROL = "continued-reconstruction"  # the label of a field that took the same steps without a prior
 

@@ -1,93 +1,33 @@
-"""The protocols, one function each: what is compared with what, on which pixels."""
+"""The protocols that have a truth, one function each: what is compared with what, on which pixels."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from itertools import combinations
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
-from inpaint3d.contracts.models.artifacts import Metric, Protocol
-from inpaint3d.perception import lpips
+from inpaint3d.contracts.models.artifacts import Protocol
 from inpaint3d.radiance.held_out import HeldOut, KnownPhoto
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.psnr import psnr
-from inpaint3d.scene.reprojection import warp_image
-from inpaint3d.stages.evaluation.baselines import (
-    interpolate_depth,
-    mean_colour,
-    mean_surround,
-    nearest_photo_warped,
-    ring_around,
-)
+from inpaint3d.stages.evaluation.baselines import interpolate_depth, mean_colour, mean_surround, nearest_photo_warped
+from inpaint3d.stages.evaluation.bench import Bench, compare_pictures, describe_resolution, ring_width, set_distances
 from inpaint3d.stages.evaluation.boxes import mask_box
 from inpaint3d.stages.evaluation.config import Config
-from inpaint3d.stages.evaluation.features import lite0_features
-from inpaint3d.stages.evaluation.frechet import estimate_kernel_distance, frechet_distance
-from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures, reprojection_figures
-from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
-from inpaint3d.stages.evaluation.metrics import ssim
-from inpaint3d.stages.evaluation.photos import Photo, camera_distance
-from inpaint3d.stages.evaluation.scores import Scores, metric
-
-BOX = "bbox10-vgg"
-SPIN_NERF = "spin-nerf"
-HOLE = "masked-pixels"
-FULL = "full"
-HELD_OUT = "held-out-known-pixels"
-SAMPLES = "held-out-samples"
-STATISTICS = "hole-statistics"
-CONSISTENCY = "neighbouring-views"
-VARIETY = "between-seeds"
-EACH_PAIR = "all pairs"
-MEAN_SURROUND = "mean-surround"
-MEAN_COLOUR = "mean-colour"
-WARPED = "nearest-photo-warped"
-
-SRGB = "sRGB-encoded, 0 to 1"
-LPIPS_NETWORKS = ("LPIPS v0.1 VGG16", "LPIPS v0.1 AlexNet")
-LITE0 = "EfficientNet-Lite0, 1280 pooled features"
-
-Z_TOLERANCE = 0.02
-"""Share of a depth by which the neighbour's own may differ for it to be the same surface."""
-
-Tick = Callable[[str], None]
-
-
-@dataclass
-class Bench:
-    """What all protocols share: the methods, the table, the renders so far, and the count of non-finite values."""
-
-    methods: list[Method]
-    config: Config
-    tick: Tick
-    scores: Scores = field(default_factory=Scores)
-    non_finite: dict[str, int] = field(default_factory=dict)
-    renders: dict[tuple[str, str], Maps] = field(default_factory=dict)
-
-    @property
-    def device(self) -> torch.device:
-        """Where the fields lie, and where networks look at pictures."""
-        return self.methods[0].field.device
-
-    def render_full_view(self, method: Method, photo: Photo) -> Maps:
-        """The whole view, rendered once."""
-        key = (method.label, photo.name)
-        if key not in self.renders:
-            self.renders[key] = method.render(photo, self.config.block)
-            self.tick(f"{method.label} in {photo.name}")
-        return self.renders[key]
-
-    def check_finite(self, renders: dict[str, Maps], view: str) -> bool:
-        """Count the non-finite values of a view's renders; a view that has any is left out for every method."""
-        counts = {label: count_non_finite(maps) for label, maps in renders.items()}
-        for label, count in counts.items():
-            if count:
-                place = f"{label}/{view}"
-                self.non_finite[place] = max(count, self.non_finite.get(place, 0))
-        return not any(counts.values())
+from inpaint3d.stages.evaluation.hole import gradient_share
+from inpaint3d.stages.evaluation.photos import Photo
+from inpaint3d.stages.evaluation.protocol_names import (
+    FULL,
+    HELD_OUT,
+    HOLE,
+    LITE0,
+    LPIPS_NETWORKS,
+    MEAN_COLOUR,
+    MEAN_SURROUND,
+    SAMPLES,
+    SPIN_NERF,
+    SRGB,
+    WARPED,
+)
 
 
 def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
@@ -129,7 +69,7 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
             description=_describe_box(bench, len(truths)),
             crop=f"the mask's bounding box, {config.box_growth:.0%} wider and higher (half on each side, rounded up), "
             "cut to the picture",
-            resolution=_describe_resolution(config),
+            resolution=describe_resolution(config),
             colour_range=SRGB,
             networks=(*LPIPS_NETWORKS, LITE0) if config.perceptual else (),
             views=len(truths),
@@ -139,7 +79,7 @@ def score_against_truth(bench: Bench, photos: list[Photo]) -> list[Protocol]:
             name=HOLE,
             description=f"The same {len(truths)} views; only pixels inside the mask itself.",
             crop="pixels of which at least half lies inside the mask",
-            resolution=_describe_resolution(config),
+            resolution=describe_resolution(config),
             colour_range=SRGB,
             views=len(truths),
             metrics=tuple(bench.scores.means(HOLE)),
@@ -172,7 +112,7 @@ def score_whole_views(bench: Bench, photos: list[Photo]) -> list[Protocol]:
             description=f"{done} whole views that show what is really behind the hole, with the mean exposure. Most of "
             "a view was seen by other photos: read the crops for what was made up.",
             crop="none: whole views",
-            resolution=_describe_resolution(bench.config),
+            resolution=describe_resolution(bench.config),
             colour_range=SRGB,
             networks=LPIPS_NETWORKS if bench.config.perceptual else (),
             views=done,
@@ -206,10 +146,6 @@ def score_held_out_samples(bench: Bench, photos: list[KnownPhoto], pixels: int) 
             metrics=metrics,
         )
     ]
-
-
-def _describe_resolution(config: Config) -> str:
-    return f"at most {config.render_longest_side} px a side, reduced by exact area means"
 
 
 def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: ArrayLike) -> list[Protocol]:
@@ -247,153 +183,13 @@ def score_held_out(bench: Bench, test: list[Photo], train: list[Photo], points: 
             f"the training photos' known pixels; {WARPED}: the nearest training photo, warped by depth interpolated "
             "between the sparse points.",
             crop="known pixels: outside the mask, and seen by the camera",
-            resolution=_describe_resolution(bench.config),
+            resolution=describe_resolution(bench.config),
             colour_range=SRGB,
             networks=LPIPS_NETWORKS if bench.config.perceptual else (),
             views=done,
             metrics=tuple(bench.scores.means(HELD_OUT)),
         )
     ]
-
-
-def score_holes(bench: Bench, photos: list[Photo]) -> list[Protocol]:
-    """`hole-statistics`: what needs no truth: is the hole opaque, and is it as lively as its surround?"""
-    done = 0
-    for photo in photos:
-        box = mask_box(photo.hole, 0.0)
-        renders = {m.label: bench.render_full_view(m, photo) for m in bench.methods}
-        if box is None or not bench.check_finite(renders, photo.name):
-            continue
-        ring = ring_around(photo.hole, ring_width(bench.config, box.width, box.height)) & photo.known
-        for label, maps in renders.items():
-            figures = opacity_figures(maps["opacity"], photo.hole)
-            method = next(m for m in bench.methods if m.label == label)
-            figures["depth_spread"] = method.depth_spread(photo, photo.hole, bench.config.block)
-            ratio = gradient_ratio(maps["rgb"], photo.hole, ring)
-            if ratio is not None:
-                figures["gradient_ratio"] = ratio
-            bench.scores.add(STATISTICS, label, photo.name, figures)
-        done += 1
-    if not done:
-        return []
-    return [
-        Protocol(
-            name=STATISTICS,
-            description=f"Inside the mask of {done} views of the capture; needs no truth. Opacity below 1 is fog "
-            "or a gap. Gradient energy of the render inside the mask over that in a ring around it: near 1 is "
-            "alike, near 0 is blurred, well above 1 is noise. Spread of depth: standard deviation of where a ray's "
-            "light stops, over its mean distance; a surface is near 0.",
-            metrics=tuple(bench.scores.means(STATISTICS)),
-        )
-    ]
-
-
-def score_neighbouring_views(bench: Bench, photos: list[Photo], others: list[Photo]) -> list[Protocol]:
-    """`neighbouring-views`: is what fills the hole the same thing from the next camera?"""
-    done = 0
-    for photo in photos:
-        rest = [o for o in others if o.name != photo.name]
-        if not photo.hole.any() or not rest:
-            continue
-        neighbour = min(rest, key=lambda o: camera_distance(photo.camera, o.camera))
-        here, there = ({m.label: bench.render_full_view(m, p) for m in bench.methods} for p in (photo, neighbour))
-        if not (bench.check_finite(here, photo.name) and bench.check_finite(there, neighbour.name)):
-            continue
-        for label, maps in here.items():
-            beside = there[label]
-            warped, seen = warp_image(
-                beside["rgb"], neighbour.camera, beside["depth"], photo.camera, maps["depth"], Z_TOLERANCE
-            )
-            figures = reprojection_figures(maps["rgb"], warped, seen, photo.hole, photo.known)
-            bench.scores.add(CONSISTENCY, label, photo.name, figures)
-        done += 1
-    metrics = tuple(bench.scores.means(CONSISTENCY))
-    if not metrics:  # no surface is seen by two views: there is nothing to compare
-        return []
-    return [
-        Protocol(
-            name=CONSISTENCY,
-            description=f"{done} views, each beside the render of the nearest other camera of the capture, warped to "
-            f"it by both renders' depths where they agree within {Z_TOLERANCE:.0%}: mean absolute difference of "
-            "colours. Needs no truth; the known pixels' figure is what geometry and view dependence cost by "
-            "themselves.",
-            metrics=metrics,
-        )
-    ]
-
-
-def compare_seeds(bench: Bench, photos: list[Photo]) -> list[Protocol]:
-    """`between-seeds`: how much fields that differ in their seed alone differ in the hole, each two of them."""
-    first = bench.methods[0].artifact.metadata.label
-    alike = {m.artifact.metadata.seed: m for m in bench.methods if m.artifact.metadata.label == first}
-    pairs = list(combinations([m.label for m in alike.values()], 2))
-    done = 0
-    for photo in photos:
-        box = mask_box(photo.hole, bench.config.box_growth)
-        renders = {m.label: bench.render_full_view(m, photo) for m in alike.values()}
-        if not pairs or box is None or not bench.check_finite(renders, photo.name):
-            continue
-        crops = {label: np.ascontiguousarray(maps["rgb"][box.slices]) for label, maps in renders.items()}
-        rows = {f"{a} | {b}": _measure_difference(crops[a], crops[b], photo.hole[box.slices], bench) for a, b in pairs}
-        rows[EACH_PAIR] = {n: float(np.mean([f[n] for f in rows.values()])) for n in next(iter(rows.values()))}
-        for label, figures in rows.items():
-            bench.scores.add(VARIETY, label, photo.name, figures)
-        done += 1
-    if not done:
-        return []
-    return [
-        Protocol(
-            name=VARIETY,
-            description=f"{len(alike)} completions that differ in their seed alone, each two of them beside each other "
-            f"in {done} views: LPIPS of the crops to the hole's box, and mean absolute difference of colours inside "
-            f"the mask. {EACH_PAIR}: their mean. What other photos show of the hole is the same for every seed.",
-            metrics=tuple(bench.scores.means(VARIETY)),
-        )
-    ]
-
-
-def _measure_difference(one: Image, other: Image, hole: np.ndarray, bench: Bench) -> dict[str, float]:
-    figures = {"colour_between": float(np.abs(one - other)[hole].mean())}
-    if bench.config.perceptual:
-        figures["lpips_between"] = lpips.load("vgg", bench.device).distance(one, other)
-    return figures
-
-
-def compare_pictures(
-    pictures: Mapping[str, Image],
-    truth: Image,
-    *,
-    perceptual: bool,
-    region: np.ndarray | None = None,
-    device: torch.device | str = "cpu",
-) -> dict[str, dict[str, float]]:
-    """PSNR, SSIM and (where wanted) both LPIPS of each picture against one truth, by label; device: of the networks."""
-    figures = {n: {"psnr": psnr(p, truth, region), "ssim": ssim(p, truth, region)} for n, p in pictures.items()}
-    if perceptual:
-        for network in ("vgg", "alex"):
-            distances = lpips.load(network, device).distances(list(pictures.values()), truth)
-            for label, distance in zip(pictures, distances, strict=True):
-                figures[label][f"lpips_{network}"] = distance
-    return figures
-
-
-def set_distances(
-    crops: dict[str, list[Image]], truths: list[Image], device: torch.device | str = "cpu"
-) -> list[Metric]:
-    """FD-lite0 and KID-lite0 of each method's crops to the truth's."""
-    real = lite0_features(truths, device)
-    out: list[Metric] = []
-    for label, pictures in crops.items():
-        made = lite0_features(pictures, device)
-        out.append(metric(label, "fd_lite0", frechet_distance(made, real), len(truths)))
-        kernel = estimate_kernel_distance(made, real)
-        out.append(metric(label, "kid_lite0", kernel.value, len(truths), standard_error=kernel.standard_error))
-    return out
-
-
-def ring_width(config: Config, width: int, height: int) -> int:
-    """Pixels of the ring around a mask whose tight box is width x height."""
-    return max(2, round(config.ring * max(width, height)))
 
 
 def _describe_box(bench: Bench, n: int) -> str:

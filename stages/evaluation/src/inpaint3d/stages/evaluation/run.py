@@ -23,7 +23,9 @@ from inpaint3d.scene.capture_io import load_points, load_posed
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.masked_views import load_masked_scene
 from inpaint3d.scene.selection import choose_evenly
+from inpaint3d.stages.evaluation.bench import Bench, Tick
 from inpaint3d.stages.evaluation.config import Config
+from inpaint3d.stages.evaluation.hole_protocols import compare_seeds, score_holes, score_neighbouring_views
 from inpaint3d.stages.evaluation.methods import load_methods
 from inpaint3d.stages.evaluation.notes import LIMITS, list_weaknesses
 from inpaint3d.stages.evaluation.photos import (
@@ -44,14 +46,9 @@ from inpaint3d.stages.evaluation.pictures import (
 )
 from inpaint3d.stages.evaluation.prior import held_out_crops
 from inpaint3d.stages.evaluation.protocols import (
-    Bench,
-    Tick,
-    compare_seeds,
     score_against_truth,
     score_held_out,
     score_held_out_samples,
-    score_holes,
-    score_neighbouring_views,
     score_whole_views,
 )
 from inpaint3d.stages.evaluation.sparse import score_sparse_points

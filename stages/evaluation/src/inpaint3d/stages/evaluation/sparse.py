@@ -7,8 +7,8 @@ from inpaint3d.contracts.models.artifacts import Metric, Protocol
 from inpaint3d.radiance.sparse_point_metrics import FRONT, measure_sparse_points
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
+from inpaint3d.stages.evaluation.bench import Bench
 from inpaint3d.stages.evaluation.photos import Photo
-from inpaint3d.stages.evaluation.protocols import Bench
 from inpaint3d.stages.evaluation.scores import metric
 
 SPARSE = "sparse-points"

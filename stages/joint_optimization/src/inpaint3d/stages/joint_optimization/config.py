@@ -20,10 +20,11 @@ class JointOptimizer(Optimizer):
     """How the field is moved; a field that comes with an initial field more carefully."""
 
     learning_rate_warmup: Warmup = 20
-    proposal_anneal_steps: AnnealSteps = 100
+    proposal_anneal_steps: AnnealSteps = Field(default=100, json_schema_extra={"x-without": "initial-field"})
     warm_start_lr_scale: Positive = Field(
         default=0.3,
         description="share of the learning rates that an initial field gets: at the full rate it forgets what it knows",
+        json_schema_extra={"x-with": "initial-field"},
     )
 
 
@@ -51,7 +52,7 @@ class Config(Closed):
     )
     steps: Count = Field(default=1600, description="steps done (S11: 600 to 1600 in the paper)")
     rays: Count = Field(default=512, description="random rays a step, over all views; 65536 in the paper (N8)")
-    architecture: Architecture = Architecture()
+    architecture: Architecture = Field(default=Architecture(), json_schema_extra={"x-without": "initial-field"})
     optimizer: JointOptimizer = JointOptimizer()
     loss_weights: JointLossWeights = JointLossWeights()
     line_of_sight_rays: Count = Field(default=32, description="rays a step to sparse points that no mask covers")

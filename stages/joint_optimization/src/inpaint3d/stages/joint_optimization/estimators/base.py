@@ -91,7 +91,9 @@ class Guided(Estimator):
     weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
     weight_decay_to: Share = Field(default=1.0, description="cosine decay to this share of the peak (S13)")
     warmup_steps: Steps = Field(
-        default=200, description="reconstruction-only steps at a fresh start; none with an initial field (S7)"
+        default=200,
+        description="reconstruction-only steps at a fresh start; none with an initial field (S7)",
+        json_schema_extra={"x-without": "initial-field"},
     )
     centre_steps: Steps = Field(default=50, description="distillation steps on the centre views only (S8)")
     centre_views: Count = Field(default=3, description="how many views the centre phase uses (S8)")
