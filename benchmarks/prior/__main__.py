@@ -16,7 +16,8 @@ square, at the largest prior's size unless another is given, is filled under thr
     navier_stokes    OpenCV's Navier-Stokes (Bertalmio 2001)
     patch            OpenCV's shift map: whole patches from elsewhere in the picture (He and Sun 2012), in Lab
 
-Written to `benchmarks/results/prior.json` and the model card: of each, LPIPS (VGG, mean over photos, lower is better),
+Written to --out (`prior.json` among the results, `prior_64.json` of 64 pixels, and the model card): of each,
+LPIPS (VGG, mean over photos, lower is better),
 KID over stand-in features (EfficientNet-Lite0, hence kid_lite0, of all pictures against all truths, lower is better),
 PSNR in the hole (mean, dB). Holes and noise come from fixed seeds; every photo is filled with --draws holes of each
 kind, and figures are means over the draws, with the standard deviation of KID between them: 100 pictures leave it to
@@ -56,7 +57,11 @@ from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import kernel_distance
 
 GENERAL = REPOSITORY / "priors" / "general"
-RESULTS = REPOSITORY / "benchmarks" / "results" / "prior.json"
+RESULTS = {
+    "prior": REPOSITORY / "benchmarks" / "results" / "prior.json",
+    "prior-64": REPOSITORY / "benchmarks" / "results" / "prior_64.json",
+}
+"""Tables of the model card: of pictures at the prior's own size, and at 64 pixels."""
 CARD = REPOSITORY / "priors" / "README.md"
 SEED = 20
 BATCH = 10
@@ -110,8 +115,15 @@ def main() -> None:
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(report, indent=1) + "\n")
-    if options.out == RESULTS:
-        CARD.write_text(fill_between(CARD.read_text(), "prior", f"\n{table(report)}\n"))
+    if options.out.resolve() in RESULTS.values():
+        fill_card()
+
+
+def fill_card() -> None:
+    """Write the tables of all sizes into the model card."""
+    for mark, path in RESULTS.items():
+        if path.is_file():
+            CARD.write_text(fill_between(CARD.read_text(), mark, f"\n{table(json.loads(path.read_text()))}\n"))
 
 
 def table(report: dict[str, Any]) -> str:
@@ -140,12 +152,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=3, help="DDIM steps of a sample")
     parser.add_argument("--draws", type=int, default=4, help="holes of each kind for a photo")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS["prior"])
     parser.add_argument("--grids", type=Path, default=REPOSITORY / "runs" / "bench-prior")
     options = parser.parse_args()
     if options.count < 2:
         parser.error(f"--count {options.count}: KID needs at least 2 photos")
-    if (options.count < 100 or options.draws < 2) and options.out == RESULTS:
+    if (options.count < 100 or options.draws < 2) and options.out.resolve() in RESULTS.values():
         parser.error("figures of fewer photos or of one draw are no results; give another file with --out")
     return options
 

@@ -8,7 +8,7 @@ unpickler that knows numpy alone.
 import hashlib
 import importlib.metadata
 import pickle
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
@@ -80,6 +80,11 @@ class Lpips:
         pairs = zip(self.heads, a, b, strict=True)
         return torch.stack([((u - v).square() * head.to(u)).sum(1).mean((1, 2)) for head, u, v in pairs]).sum(0)
 
+    def differences(self, images: Iterable[Tensor], truth: Tensor) -> list[Tensor]:
+        """`difference` of several batches of images to one of truths, whose features are taken once."""
+        wanted = self.features(truth)
+        return [self._weigh(self.features(batch), wanted) for batch in images]
+
     def distance(self, image: NDArray[np.float32], truth: NDArray[np.float32]) -> float:
         """LPIPS of two pictures [h, w, 3] in [0, 1]; lower is nearer.
 
@@ -92,8 +97,8 @@ class Lpips:
         """`distance` of each picture to one truth, whose features are taken once."""
         device = self.heads[0].device
         with one_thread():
-            wanted = self.features(_to_batch(truth).to(device))
-            return [float(self._weigh(self.features(_to_batch(image).to(device)), wanted)) for image in images]
+            batches = (_to_batch(image).to(device) for image in images)
+            return [float(found) for found in self.differences(batches, _to_batch(truth).to(device))]
 
 
 def safe_length(features: Tensor) -> Tensor:

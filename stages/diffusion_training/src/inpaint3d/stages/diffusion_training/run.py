@@ -48,7 +48,7 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     state = begin_or_resume(config, spec, start, ctx, checkpoint)
     before = judge(state.average, lesson.exam, config) if start is not None else {}
     train(state, config, lesson, ctx, checkpoint, fine_tuning=start is not None)
-    after = judge(state.average, lesson.exam, config)
+    after = judge(state.average, lesson.exam, config) if state.step or start is None else before
 
     folder = outputs.folder("diffusion-prior")
     save_prior(folder / "weights.safetensors", state.average)

@@ -177,14 +177,21 @@ def judge(prior: InpaintingPrior, exam: Batch, config: Config) -> dict[str, floa
         return {}
     image, hole, region = exam.image[taught], exam.hole[taught], region[taught]
     figures = {"crops": float(len(image))}
-    for name, filled in fill_each_way(prior, image, hole, generator, steps=config.sample_steps).items():
-        if (score := mean_psnr(hole_psnr(filled, image, region).tolist())) is not None:
+    filled = fill_each_way(prior, image, hole, generator, steps=config.sample_steps)
+    for name, fill in filled.items():
+        if (score := mean_psnr(hole_psnr(fill, image, region).tolist())) is not None:
             figures[f"hole_psnr_{name}"] = score
-        figures[f"lpips_{name}"] = _measure_lpips(torch.where(region > 0, filled, image), image)
+    taught_fills = [torch.where(region > 0, fill, image) for fill in filled.values()]
+    figures |= {f"lpips_{n}": v for n, v in zip(filled, _measure_lpips(taught_fills, image), strict=True)}
     return figures
 
 
 @torch.no_grad()
-def _measure_lpips(filled: Tensor, truth: Tensor) -> float:
-    pairs = zip(enlarge(filled).split(1), enlarge(truth).split(1), strict=True)
-    return float(np.mean([float(load("vgg", truth.device).difference(a, b)) for a, b in pairs]))
+def _measure_lpips(fills: Sequence[Tensor], truth: Tensor) -> list[float]:
+    """Mean over the crops, of each fill of them."""
+    network = load("vgg", truth.device)
+    rows = [
+        [float(found) for found in network.differences(map(enlarge, (fill[i : i + 1] for fill in fills)), enlarge(one))]
+        for i, one in enumerate(truth.split(1))
+    ]
+    return [float(mean) for mean in np.mean(rows, axis=0)]
