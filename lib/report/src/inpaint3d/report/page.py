@@ -1,6 +1,7 @@
 """Pages and parts of pages, from templates that lie beside the code that fills them."""
 
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,11 +24,14 @@ def _make_environment(package: str) -> "Environment":
     # Imported where a page is made: a command line that makes none starts without it.
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+    from inpaint3d.report.bytecode import TemplateBytecode
+
     loaders = [PackageLoader(name, ".") for name in (package, "inpaint3d.report")]
     return Environment(
         loader=ChoiceLoader(loaders),
         autoescape=True,
         undefined=StrictUndefined,
+        bytecode_cache=TemplateBytecode(Path(__file__).parent / "__pycache__"),
         trim_blocks=True,
         lstrip_blocks=True,
     )
