@@ -14,7 +14,9 @@ distillation costs beyond its parts is measured too, in a second or two (cost.py
 Figures of scenes and rows that are not asked for stay as they were; each has its commit and the key of its run. Two of
 these with different --scenes can run side by side (--threads).
 
---against: an earlier FILE of these; the table then says what became of the rows that both have.
+--against: an earlier FILE of these; the table then says what became of the rows that both have. So was the committed
+`joint_demo.md` made: --scenes demo --rows photo-completion no-prior inpaint-then-nerf sds --threads 1
+--out benchmarks/results/joint_demo.json --against benchmarks/results/joint.json.
 --statue, --bear: folders with images/, photos of a scene (in the project's own table 29 of a statue, 96 of a bear). Of
 the bear only the baselines and the default by the rule are run. --quick: minutes, a small budget and one seed, to see
 that it works; its figures mean nothing.

@@ -33,8 +33,6 @@ def table(result: dict[str, Any], earlier: dict[str, Any]) -> str:
     measured: Measured = result["measured"]
     for scene, rows in measured.items():
         lines += [f"{scene}: {HOLES[scene]}", "", *_tabulate(rows), ""]
-        if scene in CHANGES and len(_list_commits(rows)) > 1:
-            lines += [f"{CHANGES[scene]}.", ""]
     lines += _compare(measured, earlier.get("measured", {}))
     if step := result["sds_step"]:
         lines += [f"A step of `sds` takes {step['ratio']:.2f} times what its render and its prior take (cost.py).", ""]
@@ -65,7 +63,7 @@ def _compare(measured: Measured, earlier: Measured) -> Iterator[str]:
         both = [row for row in ROWS if row in rows and row in earlier.get(scene, {})]
         if not both:
             continue
-        yield f"{scene}, earlier -> now, and the larger spread of the two:"
+        yield f"{scene}, earlier -> now, and the larger spread of the two; `*`: the means differ by more:"
         yield ""
         if (changed := CHANGES.get(scene)) is not None:
             yield f"{changed}."
@@ -74,14 +72,16 @@ def _compare(measured: Measured, earlier: Measured) -> Iterator[str]:
         yield "|---" * (len(COMPARED) + 3) + "|"
         for row in both:
             old, new = earlier[scene][row], rows[row]
-            cells = [
-                f"{mean(old, n):{form}} -> {mean(new, n):{form}}, {max(spread(old, n), spread(new, n)):{form}}"
-                for n in COMPARED
-                for form in [FORMATS.get(n, ".3f")]
-            ]
+            cells = [_set_beside(old, new, name) for name in COMPARED]
             codes = " -> ".join(", ".join(_list_commits({row: runs})) for runs in (old, new))
             yield f"| {row} | {len(old)}, {len(new)} | {' | '.join(cells)} | {codes} |"
         yield ""
+
+
+def _set_beside(old: list[Figures], new: list[Figures], name: str) -> str:
+    form, noise = FORMATS.get(name, ".3f"), max(spread(old, name), spread(new, name))
+    mark = "*" if abs(mean(new, name) - mean(old, name)) > noise else ""
+    return f"{mean(old, name):{form}} -> {mean(new, name):{form}}, {noise:{form}}{mark}"
 
 
 def _apply_rule(default: dict[str, Any]) -> list[str]:

@@ -128,7 +128,7 @@ def test_a_table_says_what_became_of_an_earlier_one(tmp_path):
     (row,) = [line for line in text.splitlines() if "->" in line and line.startswith("| sds ")]
     assert (
         row
-        == "| sds | 2, 1 | 0.50 -> 0.50, 0.00 | 0.500 -> 0.500, 0.000 | 0.250 -> 0.400, 0.071 | aaaaaaa -> bbbbbbb |"
+        == "| sds | 2, 1 | 0.50 -> 0.50, 0.00 | 0.500 -> 0.500, 0.000 | 0.250 -> 0.400, 0.071* | aaaaaaa -> bbbbbbb |"
     )
     assert "took the object's request anew" in text
     assert "Rule:" not in text, "some rows that it is about were not measured"

@@ -97,6 +97,23 @@ def test_what_a_field_s_start_leaves_without_effect_is_refused(assignment, port)
         configure(PIPELINE, asked, {"capture"})
 
 
+def test_a_parameter_of_the_sampler_that_a_field_does_not_have_is_refused():
+    node = "masked-reconstruction.architecture"
+    grid = [f"{node}.sampler=density-grid", f"{node}.density_bins=32"]
+    asked = Settings("standard", parse_overrides(PIPELINE, grid))
+    assert (
+        configure(PIPELINE, asked, {"capture"}).parameters["masked-reconstruction"]["architecture"]["density_bins"]
+        == 32
+    )
+    for assignment, sampler in ((grid[1:], "density-grid"), ([grid[0], f"{node}.proposal_levels=4"], "proposal")):
+        asked = Settings("standard", parse_overrides(PIPELINE, assignment))
+        name = assignment[-1].partition("=")[0]
+        with pytest.raises(
+            ConfigurationError, match=f"{name} changes nothing: it counts under {node}.sampler={sampler}"
+        ):
+            configure(PIPELINE, asked, {"capture"})
+
+
 @pytest.mark.parametrize("preset", PIPELINE.spec.spec.presets)
 def test_every_parameter_of_a_preset_acts(preset):
     configured = configure(

@@ -1,8 +1,7 @@
 import pytest
-from pydantic import ValidationError
 
 from inpaint3d.contracts.models.artifacts import Effect, EffectPlan, FieldSpec, GridSpec
-from inpaint3d.radiance.architecture import Architecture, parameter_shapes, planned_spec
+from inpaint3d.radiance.architecture import parameter_shapes, planned_spec
 from inpaint3d.radiance.fields import RadianceField
 
 SMALL = FieldSpec(
@@ -54,11 +53,3 @@ def test_rays_of_a_bounded_scene_pass_the_whole_cube() -> None:
     assert spec.far >= 1 + 2.0 * 3**0.5
     assert planned("contraction").far == SMALL.far
     assert spec.near == pytest.approx(0.08)
-
-
-def test_parameters_of_another_sampler_are_refused_unless_they_say_what_would_be_anyway() -> None:
-    assert Architecture(sampler="density-grid", density_bins=8, proposal_levels=5).density_bins == 8
-    with pytest.raises(ValidationError, match="sampler proposal has no density_bins; set sampler: density-grid"):
-        Architecture(density_bins=8)
-    with pytest.raises(ValidationError, match="sampler density-grid has no proposal_samples; set sampler: proposal"):
-        Architecture(sampler="density-grid", proposal_samples=(8,))

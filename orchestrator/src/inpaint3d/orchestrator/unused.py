@@ -1,7 +1,8 @@
 """Parameters that a stage does not look at because of what it reads: they would change a key and nothing else.
 
 A parameter's schema may say, by `x-without`, a port that has to be unread for the parameter to act (the size of a
-field, where an initial field brings its own), and by `x-with`, one that has to be read.
+field, where an initial field brings its own), by `x-with`, one that has to be read, and by `x-under` the value that
+another parameter of its group has to have.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,35 +12,41 @@ from inpaint3d.contracts.models.pipeline import Parameters
 from inpaint3d.orchestrator.parameter_schema import Place
 from inpaint3d.orchestrator.parameters import fill_defaults
 
-WITH, WITHOUT = "x-with", "x-without"
+WITH, WITHOUT, UNDER = "x-with", "x-without", "x-under"
 Read = Mapping[str, Sequence[str]]
 """Port -> references, of the ports that a node reads."""
 
 
 def find_unused(whole: Place, parameters: Parameters, read: Read, node: str) -> Iterator[str]:
     """What is not its default and does not act, with the way to make it, in words. parameters: defaults filled in."""
-    for at, place in _list_set(whole, parameters, node):
+    for at, place, group in _list_set(whole, parameters, node):
         without, needed = place.written.get(WITHOUT), place.written.get(WITH)
         if without is not None and without in read:
             sources = ", ".join(read[without])
             yield f"{at} changes nothing where {without} ({sources}) is read{_say_ways(whole, node, without)}"
         if needed is not None and needed not in read:
             yield f"{at} changes nothing where no {needed} is read"
+        for name, wanted in cast(Parameters, place.written.get(UNDER, {})).items():
+            if group[name] != wanted:
+                yield f"{at} changes nothing: it counts under {at.rpartition('.')[0]}.{name}={wanted}"
 
 
-def _list_set(place: Place, value: Parameters, at: str) -> Iterator[tuple[str, Place]]:
-    """(path, place) of every parameter that is not its default; what a group's schema says counts for all inside it."""
+def _list_set(place: Place, value: Parameters, at: str) -> Iterator[tuple[str, Place, Parameters]]:
+    """(path, place, values of its group) of every parameter that is not its default.
+
+    What a group's schema says counts for all inside it.
+    """
     group = place.group_of(value)
     for name, inner in ({} if group is None else group.properties).items():
         default = fill_defaults(inner, inner.schema.get("default"))
         if value.get(name) is None or value[name] == default:
             continue
-        if not isinstance(value[name], dict):
-            yield f"{at}.{name}", inner
-        elif WITH in inner.written or WITHOUT in inner.written:
-            yield f"{at}.{_name_changed(name, value[name], default)}", inner
-        else:
+        if isinstance(value[name], dict):
+            if WITH in inner.written or WITHOUT in inner.written:
+                yield f"{at}.{_name_changed(name, value[name], default)}", inner, value
             yield from _list_set(inner, value[name], f"{at}.{name}")
+        else:
+            yield f"{at}.{name}", inner, value
 
 
 def _name_changed(name: str, value: Parameters, default: Any) -> str:

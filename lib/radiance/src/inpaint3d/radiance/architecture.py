@@ -6,7 +6,8 @@ Imports no array library: the parameters are checked where no field is made.
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field
+from pydantic.config import JsonDict
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, FieldSpec, GridSpec
 from inpaint3d.contracts.models.base import Closed, Positive, Share
@@ -19,11 +20,9 @@ Log2 = Annotated[int, Field(ge=4, le=28)]
 DIRECTION_COMPONENTS = 16
 
 
-SAMPLED_BY = {
-    "proposal": ("proposal_samples", "proposal_levels", "proposal_finest", "proposal_log2_table"),
-    "density-grid": ("density_cells", "density_bins"),
-}
-"""The parameters that one sampler alone looks at."""
+# What one sampler alone looks at.
+PROPOSAL: JsonDict = {"x-under": {"sampler": "proposal"}}
+DENSITY_GRID: JsonDict = {"x-under": {"sampler": "density-grid"}}
 
 
 class Architecture(Closed):
@@ -40,14 +39,26 @@ class Architecture(Closed):
         description="where rays ask the field: where a smaller network proposes (N2), or where it was "
         "dense when last asked",
     )
-    density_cells: Count = Field(default=96, description="cells per side of the density grid")
-    density_bins: Samples = Field(default=64, description="intervals of a ray that are looked up in it")
-    proposal_samples: tuple[Samples, ...] = Field(
-        default=(48,), description="samples a ray of each proposal round; 64, 64 in the paper (N2)"
+    density_cells: Count = Field(
+        default=96, description="cells per side of the density grid", json_schema_extra=DENSITY_GRID
     )
-    proposal_levels: Count = Field(default=5, description="resolutions of the proposal's grid; 10 in the paper (N3)")
-    proposal_finest: Count = Field(default=256, description="cells per side of its finest level; 8192 in the paper")
-    proposal_log2_table: Log2 = Field(default=16, description="log2 of the entries of its levels; 21 in the paper")
+    density_bins: Samples = Field(
+        default=64, description="intervals of a ray that are looked up in it", json_schema_extra=DENSITY_GRID
+    )
+    proposal_samples: tuple[Samples, ...] = Field(
+        default=(48,),
+        description="samples a ray of each proposal round; 64, 64 in the paper (N2)",
+        json_schema_extra=PROPOSAL,
+    )
+    proposal_levels: Count = Field(
+        default=5, description="resolutions of the proposal's grid; 10 in the paper (N3)", json_schema_extra=PROPOSAL
+    )
+    proposal_finest: Count = Field(
+        default=256, description="cells per side of its finest level; 8192 in the paper", json_schema_extra=PROPOSAL
+    )
+    proposal_log2_table: Log2 = Field(
+        default=16, description="log2 of the entries of its levels; 21 in the paper", json_schema_extra=PROPOSAL
+    )
     density_width: Count = Field(default=64, description="width of the density networks (N4)")
     bottleneck: Count = Field(default=15, description="numbers that reach the view-dependent network (N4)")
     view_width: Count = Field(default=64, description="width of the view-dependent network (N4)")
@@ -55,14 +66,6 @@ class Architecture(Closed):
     glo: Count = Field(default=4, description="length of the appearance codes, where the plan has exposure on (N6)")
     near_share: Share = Field(default=0.1, description="where rays start, as a share of the capture's centre depth")
     far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
-
-    @model_validator(mode="after")
-    def _check_sampler(self) -> "Architecture":
-        for sampler, names in SAMPLED_BY.items():
-            for name in names if sampler != self.sampler else ():
-                if getattr(self, name) != Architecture.model_fields[name].default:
-                    raise ValueError(f"sampler {self.sampler} has no {name}; set sampler: {sampler}, or leave it out")
-        return self
 
 
 class Level(NamedTuple):
