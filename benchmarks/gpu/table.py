@@ -47,7 +47,7 @@ def tabulate(results: Figures) -> str:
     return "\n".join(
         [
             f"{machine['gpu']}, {machine['cores']} cores, torch {machine['torch']}; "
-            f"`{results['commit'][:7]}`, `benchmarks/results/gpu.json`.",
+            f"commit {results['commit'][:7]}; `benchmarks/results/gpu.json`.",
             "",
             "| against the processor | error | allowed | |",
             "|---|---|---|---|",
