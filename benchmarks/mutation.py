@@ -277,9 +277,10 @@ def _without_guard(node: ast.AST, text: str) -> str | None:
         return source(node.args[0] if of_module else node.func.value)
     if name == "expm1":
         return f"(torch.exp({source(node.args[0])}) - 1)"
-    if name == "isfinite" and (node.args or isinstance(node.func, ast.Attribute)):
-        of = source(node.args[0] if node.args else node.func.value)
-        return f"({of} == {of})"
+    if name == "isfinite" and (
+        of := [*node.args, *([node.func.value] if isinstance(node.func, ast.Attribute) else [])]
+    ):
+        return f"({source(of[0])} == {source(of[0])})"
     if name in ("max", "maximum", "min") and len(node.args) == 2 and sum(constant) == 1:
         return source(node.args[constant.index(False)])
     if name == "where" and len(node.args) == 3 and sum(constant[1:]) == 1:

@@ -21,7 +21,7 @@ from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.diffusion_training import teaching
 from inpaint3d.stages.diffusion_training.config import Config
 from inpaint3d.stages.diffusion_training.pictures import KnownPicture
-from inpaint3d.stages.diffusion_training.teaching import begin_or_resume, lesson_of, train
+from inpaint3d.stages.diffusion_training.teaching import begin_or_resume, count_lost_step, lesson_of, train
 from tests.room_artifacts import PRIOR
 from tests.stability.faults import Fault, assert_checkpoint_is_finite, break_next_gradient, set_number, watch
 
@@ -171,3 +171,18 @@ def test_a_fault_of_training_is_located_and_never_kept(
         assert f"step {at + 1} " in said[0]
         assert run.state.step == STEPS
         check_finite_weights(run.state.average.state_dict())
+
+
+def test_lost_steps_end_the_training_at_the_third_or_with_its_weights(tmp_path: Path) -> None:
+    ctx, messages = watch(tmp_path, 0, None)
+    state = begin_or_resume(CONFIG, PRIOR, None, ctx, tmp_path / "checkpoint.safetensors")
+    state.pending = [0.5, math.nan, math.nan]
+    count_lost_step(state, ctx)
+    assert "it moved nothing" in messages[-1]
+    state.pending.append(math.nan)
+    with pytest.raises(NonFiniteError, match="3 steps in a row moved nothing"):
+        count_lost_step(state, ctx)
+    state.pending = [0.5, math.nan]
+    set_number(next(state.prior.parameters()), 5, math.nan)
+    with pytest.raises(NonFiniteError, match="1 steps in a row moved nothing"):
+        count_lost_step(state, ctx)

@@ -70,6 +70,7 @@ def test_any_distance_gives_finite_values_and_gradients(exponent: int) -> None:
     assert torch.isfinite(t.grad).all()
 
 
-def test_a_ladder_without_a_limit_is_refused() -> None:
+@pytest.mark.parametrize("p", [0.0, 0.5])
+def test_a_ladder_without_a_limit_is_refused(p: float) -> None:
     with pytest.raises(ValueError, match="limit"):
-        below_limit(torch.ones(1), 0.5)
+        below_limit(torch.ones(1), p)

@@ -86,6 +86,17 @@ def test_exposures_are_evened_out_between_pictures():
     assert bright.mean() < even.mean()
 
 
+def test_a_picture_that_shows_nothing_in_common_keeps_its_exposure():
+    mesh, picture = wall(), picture_of_the_wall()
+    hidden = Picture(picture.camera, picture.image, np.zeros((128, 128), bool))
+    caster = Caster(mesh.vertices, mesh.triangles)
+    evened = even_exposures(
+        mesh, find_texels(unwrap(mesh, SIZE), SIZE), [look(mesh, caster, p) for p in (picture, hidden)]
+    )
+    for sight in evened:
+        np.testing.assert_array_equal(sight.picture.image, picture.image)
+
+
 def test_a_picture_that_something_stands_before_paints_nothing():
     mesh = wall()
     shield = Mesh(np.array([[-9.0, -0.6, -9], [9, -0.6, -9], [0, -0.6, 9]]), np.array([[0, 1, 2]]))

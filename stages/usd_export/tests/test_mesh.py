@@ -168,3 +168,8 @@ def test_the_hull_of_a_balls_silhouettes_holds_the_ball():
     assert radii.max() < 0.85
     nothing = visual_hull([v.camera for v in views], [~m & m for m in masks], np.full(3, -1.0), np.full(3, 1.0), 8)
     assert len(nothing.triangles) == 0
+
+
+def test_normals_that_cancel_out_are_along_z():
+    mesh = Mesh(np.array([[0.0, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2], [0, 2, 1]]))
+    np.testing.assert_array_equal(mesh.vertex_normals(), np.tile([0.0, 0, 1], (3, 1)))
