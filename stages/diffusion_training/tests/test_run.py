@@ -28,7 +28,7 @@ from inpaint3d.contracts.store import Artifact, FolderStore, Store
 from inpaint3d.diffusion.io import load_prior, open_prior
 from inpaint3d.scene.image_io import write_mask, write_png
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
-from inpaint3d.stages.diffusion_training.config import SMALL
+from inpaint3d.stages.diffusion_training.config import OF_LEARNING, SMALL, Config
 from tests.room_artifacts import put_posed
 
 MODULE = "inpaint3d.stages.diffusion_training"
@@ -182,13 +182,28 @@ def test_learning_a_smooth_room_beats_not_having_learnt(store, room, inputs) -> 
 def test_fine_tuning_starts_from_the_pretrained_prior(store, inputs) -> None:
     first = train(store, inputs)
     other_spec = TINY["prior"] | {"width": 16}
-    tuned = train(store, inputs | {"pretrained-prior": first.digest}, steps=0, prior=other_spec)
+    usual = {name: Config.model_fields[name].default for name in OF_LEARNING}
+    tuned = train(store, inputs | {"pretrained-prior": first.digest}, **usual, steps=0, prior=other_spec)
     assert tuned.metadata.start == first.digest
     assert tuned.metadata.spec == first.metadata.spec
     # No step: the weights are the pretrained ones, and so are the figures.
     assert tuned.path("weights.safetensors").read_bytes() == first.path("weights.safetensors").read_bytes()
     figures = tuned.metadata.held_out
     assert figures["start_hole_psnr_expectation"] == figures["hole_psnr_expectation"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"start": "fresh"}, "steps is 0 and start is fresh: nothing would be learnt"),
+        ({"batch": 4}, "batch would change nothing: steps is 0"),
+        ({"fine_tuning_rate": 1e-4, "ema": 0.5}, "fine_tuning_rate, ema would change nothing"),
+    ],
+)
+def test_what_would_teach_nothing_is_refused(given, said) -> None:
+    with pytest.raises(ValueError, match=said):
+        Config.model_validate({"steps": 0, **given})
+    assert Config.model_validate({"steps": 1, **given}).steps == 1
 
 
 def test_a_fresh_start_leaves_the_pretrained_prior_alone(store, inputs) -> None:

@@ -41,6 +41,13 @@ SMALL = PriorSpec(
 """6.4 M parameters; 64 pixels, which the network sees as 32 of four times the channels."""
 
 
+OF_LEARNING = (
+    "batch", "parts", "learning_rate", "fine_tuning_rate", "warm_up", "ema", "t_range", "corpus_share", "curve_rows",
+    "compiled",
+)  # fmt: skip
+"""Parameters that count where something is learnt."""
+
+
 class Config(Closed):
     """How the prior is built and for how long it learns."""
 
@@ -95,6 +102,17 @@ class Config(Closed):
         description="what the prior is queried with afterwards; fastest: measured on this machine, so that two runs "
         "may differ",
     )
+
+    @model_validator(mode="after")
+    def _something_is_learnt(self) -> "Config":
+        if self.steps:
+            return self
+        if self.start == "fresh":
+            raise ValueError("steps is 0 and start is fresh: nothing would be learnt; give steps, some hundreds")
+        idle = [name for name in OF_LEARNING if getattr(self, name) != type(self).model_fields[name].default]
+        if idle:
+            raise ValueError(f"{', '.join(idle)} would change nothing: steps is 0; give steps too")
+        return self
 
     @model_validator(mode="after")
     def _ranges_rise(self) -> "Config":
