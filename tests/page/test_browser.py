@@ -1,5 +1,6 @@
 """The page as a person uses it, in headless Chromium: by the pointer, by the keyboard alone, on a tablet."""
 
+import base64
 import re
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from playwright.sync_api import Page, expect
@@ -16,7 +18,7 @@ from inpaint3d.contracts.kit.upstream import invoke
 from inpaint3d.contracts.models.artifacts import MaskRequest, MaskRequestArtifact, MaskSet
 from inpaint3d.contracts.models.documents import load_document
 from inpaint3d.contracts.models.stage import load_stage
-from inpaint3d.scene.image_io import read_mask
+from inpaint3d.scene.image_io import read_mask, write_png
 from tests.browser import LAPTOP, PATIENCE_MS, TABLET, find_violations, launch, open_page, overflows
 from tests.conftest import REPOSITORY
 from tests.page.room import Room, build_room
@@ -34,11 +36,12 @@ def browser():
 
 
 @contextmanager
-def serve(room: Room, saved: Path, *, field: bool = True) -> Iterator[str]:
+def serve(room: Room, saved: Path, *, field: bool = True, painted: Path | None = None) -> Iterator[str]:
     """The stage's own process; its address."""
     line = [sys.executable, "-m", "inpaint3d.stages.mask_authoring", "edit", "--store", str(room.store.place)]
     line += ["--capture", room.capture, "--save", str(saved), "--title", "room", "--then", "inpaint3d run room"]
     line += ["--posed-capture", room.posed, "--radiance-field", room.field] if field else []
+    line += ["--painted", str(painted)] if painted else []
     with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -233,6 +236,39 @@ def test_before_there_is_a_field_pictures_are_pointed_at_and_what_is_missing_is_
         expect(person.page.locator(".picture .mask")).to_have_attribute("d", re.compile("M.*Z"), timeout=PATIENCE_MS)
         assert person.share() > 0.01
         assert len(person.save().mask.background) == 4
+
+
+DROP = """async ([name, text]) => {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0)), files = new DataTransfer();
+    files.items.add(new File([bytes], name, {type: 'image/png'}));
+    document.querySelector('#painting').dispatchEvent(new DragEvent('drop', {dataTransfer: files, bubbles: true}));
+}"""
+
+
+def test_painted_views_are_dropped_chosen_and_taken_back_and_the_run_is_told_of_them(browser, room, tmp_path):
+    folder, target = tmp_path / "painted", tmp_path / "mask.yaml"
+    for part in ("asked", "masks"):
+        write_png(folder / part / "view_001.png", np.full((6, 8, 3), 0.2))
+    write_png(tmp_path / "view_001.png", np.full((6, 8, 3), 0.7))
+    dropped = base64.b64encode((tmp_path / "view_001.png").read_bytes()).decode()
+    with serve(room, target, painted=folder) as url, meet(browser, room, url, target) as person:
+        zone = person.page.locator("#painting")
+        expect(zone).to_contain_text("view_001: not painted")
+        assert find_violations(person.page) == []
+        with person.page.expect_download() as given_out:
+            zone.get_by_role("link", name="Mask of view_001").click()
+        assert given_out.value.path().read_bytes() == (folder / "masks/view_001.png").read_bytes()
+        person.page.evaluate(DROP, ["view_001.png", dropped])
+        expect(person.page.locator("#then")).to_have_text(f"inpaint3d run room --painted {folder}")
+        person.press("Escape")
+        expect(zone).to_contain_text("view_001: painted")
+        assert (folder / "view_001.png").read_bytes() == (tmp_path / "view_001.png").read_bytes()
+        zone.get_by_role("button", name="Remove view_001").click()
+        expect(zone).to_contain_text("view_001: not painted")
+        person.page.locator("#paintings").set_input_files(tmp_path / "view_001.png")
+        expect(person.page.get_by_role("dialog", name="Saved")).to_be_visible()
+        person.press("Escape")
+    assert [path.name for path in folder.glob("*.png")] == ["view_001.png"]
 
 
 @pytest.mark.parametrize(("size", "scheme"), [(LAPTOP, "light"), (LAPTOP, "dark"), (TABLET, "light")])

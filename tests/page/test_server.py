@@ -13,6 +13,7 @@ from inpaint3d.contracts.kit.page_server import (
     HEADERS,
     MAX_BODY_BYTES,
     MAX_CONNECTIONS,
+    MAX_PICTURE_BYTES,
     Answer,
     PageServer,
     answer_json,
@@ -23,13 +24,17 @@ def get(path):
     return Answer(f"[{path}]".encode(), "text/plain")
 
 
+def put(path, picture):
+    return answer_json({"path": path, "bytes": len(picture)})
+
+
 def post(path, value):
     return answer_json({"path": path, "value": value})
 
 
 @pytest.fixture
 def server():
-    with PageServer(get, post) as running:
+    with PageServer(get, post, put=put) as running:
         thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield running
@@ -129,7 +134,18 @@ def test_less_than_was_announced_is_refused(server):
         assert b" 400 " in connection.recv(100)
 
 
-@pytest.mark.parametrize("method", ["PUT", "DELETE", "OPTIONS", "HEAD"])
+def test_a_picture_is_taken_by_its_kind_and_within_bounds(server):
+    def put_it(body, **headers):
+        return ask(server, f"/{server.token}/painted/a.png", "PUT", body, **headers)
+
+    status, _, body = put_it(b"12345", Content_Type="image/png")
+    assert (status, json.loads(body)) == (200, {"path": "painted/a.png", "bytes": 5})
+    assert put_it(b"12345", Content_Type="text/plain")[0] == 415
+    assert put_it(b"", Content_Type="image/tiff", Content_Length=str(MAX_PICTURE_BYTES + 1))[0] == 413
+    assert put_it(b"12345", Content_Type="image/png", Origin="http://elsewhere.example")[0] == 403
+
+
+@pytest.mark.parametrize("method", ["DELETE", "OPTIONS", "HEAD"])
 def test_other_methods_are_refused_under_the_same_policy(server, method):
     status, headers, _ = ask(server, f"/{server.token}/", method)
     assert status == 501

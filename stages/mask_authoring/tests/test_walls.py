@@ -36,13 +36,14 @@ class Wall:
 
     scene: Scene
     surfaces: list[np.ndarray]
+    work: Path
 
     def pixel(self, view: int, *xyz: float) -> list[float]:
         return [float(v) for v in self.scene.views[view].camera.project(np.array(xyz))[0]]
 
     def author(self, points: list[list[float]]) -> list[np.ndarray]:
         request = ObjectRequest.model_validate({"kind": "object", "view": "view_2", "points": points})
-        ctx = Context(seed=0, device="cpu", threads=1, work=Path(), emit=lambda event, **values: None)
+        ctx = Context(seed=0, device="cpu", threads=1, work=self.work, emit=lambda event, **values: None)
         return author(request, self.scene, 0.0, FAST, ctx).masks
 
     def score(self, masks: list[np.ndarray], *surfaces: int) -> list[float]:
@@ -50,7 +51,7 @@ class Wall:
         return [iou(mask, np.isin(surface, surfaces)) for mask, surface in zip(masks, self.surfaces, strict=True)]
 
 
-def hang() -> Wall:
+def hang(work: Path) -> Wall:
     rng = np.random.default_rng(0)
     grain = sum(cv2.GaussianBlur(rng.normal(size=(512, 512, 3)), (0, 0), s) * s for s in (1.5, 5.0, 12.0))
     names, views, depth_views, surfaces = [], [], [], []
@@ -65,7 +66,7 @@ def hang() -> Wall:
         surfaces.append(surface)
     flat = np.stack([rng.uniform(-0.9, 0.9, 1500), rng.normal(0, 0.001, 1500), rng.uniform(-0.8, 0.8, 1500)], 1)
     hidden = (np.abs(flat[:, 0]) < SHIELD_SIZE[0] / 2) & (np.abs(flat[:, 2]) < SHIELD_SIZE[2] / 2)
-    return Wall(Scene(views, depth_views, [], True, flat[~hidden].astype(np.float32)), surfaces)
+    return Wall(Scene(views, depth_views, [], True, flat[~hidden].astype(np.float32)), surfaces, work)
 
 
 def cast(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -99,8 +100,8 @@ def mistake(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def wall() -> Wall:
-    return hang()
+def wall(tmp_path_factory) -> Wall:
+    return hang(tmp_path_factory.mktemp("work"))
 
 
 def test_what_hangs_at_a_wall_is_found_whole_where_depth_falls_through_it(wall):

@@ -8,7 +8,7 @@ import typer
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Store, open_store
-from inpaint3d.orchestrator import saved_mask
+from inpaint3d.orchestrator import painting, saved_mask
 from inpaint3d.orchestrator.history import History
 from inpaint3d.orchestrator.intake import name_run, take_segmenter
 from inpaint3d.orchestrator.options import Name, Places, Request, Segmenter, with_options
@@ -48,7 +48,8 @@ def edit(
     """Serve a page on which a person points at what is to go, and sees the masks in every view; until Ctrl-C.
 
     Before a run has cameras and a field, masks are shown on the picture pointed at. What is saved is the mask request
-    of the next `run` of the name. The page is a process of this environment, also where stages run in containers.
+    of the next `run` of the name. Where plates were made, views that were painted in are dropped there too. The page
+    is a process of this environment, also where stages run in containers.
     """
     check_installed(STAGE)
     store = open_store(places.store)
@@ -64,6 +65,9 @@ def edit(
         then = saved_mask.command_to_run(record.name, photos, places, segmenter)
         target = str(saved_mask.path_of(places.runs_dir / record.name))
         options = ["--save", target, "--title", record.name, "--then", then, "--port", str(port)]
+        plates = outputs.get("plate-export", {}).get("clean-plates")
+        if painted := painting.offer(store, record.name, plates, places.runs_dir / record.name / painting.PAINTED):
+            options += ["--painted", str(painted)]
         code = run_stage_command(STAGE, "edit", store, shown | {"segmenter": network}, options)
     raise typer.Exit(code)
 

@@ -8,10 +8,12 @@ from inpaint3d.contracts.models.artifacts import CleanPlates, PaintedView, Paint
 from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES
 from inpaint3d.contracts.models.base import Closed, Digest, FrameName
 from inpaint3d.contracts.models.documents import load_document
-from inpaint3d.contracts.store import Store
+from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.report.page import render
 
 REQUEST = "paint.yaml"
+PAINTED = "painted"
+"""Where the folder of a run has the pictures that were dropped on its page."""
 ASKED, MASKS, CUTOUTS = "asked", "masks", "cutouts"
 
 
@@ -34,20 +36,38 @@ def ask(store: Store, run: str, plates: Digest | None, folder: Path) -> list[str
     artifact = store.open(plates, CleanPlates)
     if not (canvases := artifact.metadata.canvases):
         raise ConfigurationError(f"nothing is made up in {run}: other photos show all of its hole")
+    _export(artifact, run, folder)
     for canvas in canvases:
-        for place, path in (
-            (f"{canvas.name}.png", canvas.picture),
-            (f"{ASKED}/{canvas.name}.png", canvas.picture),
-            (f"{MASKS}/{canvas.name}.png", canvas.mask),
-            (f"{CUTOUTS}/{canvas.name}.png", canvas.cutout),
-        ):
-            (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            (folder / place).write_bytes(artifact.path(path).read_bytes())
+        (folder / f"{canvas.name}.png").write_bytes(artifact.path(canvas.picture).read_bytes())
     names = [canvas.name for canvas in canvases]
-    lines = ["# What `inpaint3d paint ask` exported; --painted reads it.", f"run: {run!r}", "views:"]
-    (folder / REQUEST).write_text("\n".join([*lines, *(f"  - {name!r}" for name in names)]) + "\n")
     (folder / "index.html").write_text(render("inpaint3d.orchestrator", "paint.html.j2", run=run, names=names))
     return names
+
+
+def offer(store: Store, run: str, plates: Digest | None, folder: Path) -> Path | None:
+    """The folder for a page on which painted pictures are dropped; None where nothing was made up.
+
+    It has what was asked for, and no picture yet. One that has a painted picture is left as it is.
+    """
+    if plates is None or not (artifact := store.open(plates, CleanPlates)).metadata.canvases:
+        return None
+    if folder.is_dir() and any(path.suffix.lower() in PICTURE_SUFFIXES for path in folder.iterdir()):
+        return folder
+    for part in (ASKED, MASKS, CUTOUTS):
+        shutil.rmtree(folder / part, ignore_errors=True)
+    _export(artifact, run, folder)
+    return folder
+
+
+def _export(plates: Artifact[CleanPlates], run: str, folder: Path) -> None:
+    """What is asked for, beside which painted pictures are to lie."""
+    canvases = plates.metadata.canvases
+    for canvas in canvases:
+        for part, path in ((ASKED, canvas.picture), (MASKS, canvas.mask), (CUTOUTS, canvas.cutout)):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+            (folder / part / f"{canvas.name}.png").write_bytes(plates.path(path).read_bytes())
+    lines = ["# What `inpaint3d paint ask` exported; --painted reads it.", f"run: {run!r}", "views:"]
+    (folder / REQUEST).write_text("\n".join([*lines, *(f"  - {canvas.name!r}" for canvas in canvases)]) + "\n")
 
 
 def take_painted(store: Store, folder: Path) -> Digest:

@@ -3,6 +3,7 @@
 import { byId } from "./elements";
 import { History } from "./history";
 import { Masking } from "./masking";
+import { listPainted } from "./painted";
 import { TOOLS, listObjects, listSettings, listTools, listViews, markTool, resize, writeHelp } from "./panels";
 import { Picture, boxOf, type Tool } from "./picture";
 import { fromRequest, toRequest, viewsOf, type Pixel, type Size } from "./requests";
@@ -41,12 +42,13 @@ class Page {
   }
 
   private begin(): void {
-    const { title, missing, finder, saved, problem } = this.scene;
+    const { title, missing, finder, saved, problem, painted } = this.scene;
     byId("title").textContent = title;
     document.title = `Masks: ${title}`;
     byId("missing").hidden = missing === null;
     byId("missing").textContent = missing ?? "";
     byId("finder").textContent = finder;
+    if (painted !== null) listPainted(painted, (now) => this.tellSaved(now), (text) => say("error", text));
     this.choose("add");
     if (saved !== null) {
       const items = fromRequest(saved, this.sizes);
@@ -117,15 +119,19 @@ class Page {
     const request = toRequest(items, this.sizes, dilate);
     if (request === null) return say("error", "There is nothing to save yet: point at something first.");
     try {
-      const { file, then } = await save(request);
-      byId("file").textContent = file;
-      byId("then").textContent = then;
-      say("error", "");
-      say("status", `saved in ${file}`);
-      byId<HTMLDialogElement>("savedbox").showModal();
+      this.tellSaved(await save(request));
     } catch (error) {
       say("error", (error as Error).message);
     }
+  }
+
+  private tellSaved({ file, then }: { file: string; then: string }): void {
+    byId("file").textContent = file;
+    byId("then").textContent = then;
+    say("error", "");
+    say("status", `saved in ${file}`);
+    const box = byId<HTMLDialogElement>("savedbox");
+    if (!box.open) box.showModal();
   }
 
   private resize(factor: number): void {

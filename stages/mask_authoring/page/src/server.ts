@@ -13,6 +13,12 @@ export interface Scene {
   problem: string | null;
   file: string;
   then: string;
+  painted: Painted | null;
+}
+export interface Painted {
+  views: Record<string, boolean>;
+  file: string;
+  then: string;
 }
 export interface Progress {
   number: number;
@@ -34,15 +40,23 @@ export const askMask = (request: MaskRequest, view: string) =>
 export const askToCarry = (request: MaskRequest) => ask<{ number: number }>("carry", { request });
 export const askProgress = (revision: number) => ask<Progress>("progress", { revision });
 export const save = (request: MaskRequest) => ask<{ file: string; then: string }>("save", { request });
+export const forget = (view: string) => ask<Painted>("forget", { view });
+export const putPainted = (file: File) => {
+  const type = file.type || (/\.tiff?$/i.test(file.name) ? "image/tiff" : "application/octet-stream");
+  const sent = { method: "PUT", headers: { "Content-Type": type }, body: file };
+  return fetchJson<Painted>(`painted/${encodeURIComponent(file.name)}`, sent);
+};
 
+export const givenOut = (part: string, name: string) => `painted/${part}/${encodeURIComponent(name)}.png`;
 export const pictureOf = (name: string) => `frames/${encodeURIComponent(name)}.jpg`;
 export const thumbnailOf = (name: string) => `thumbnails/${encodeURIComponent(name)}.jpg`;
 
-async function ask<T>(path: string, question?: unknown): Promise<T> {
-  const sent: RequestInit =
-    question === undefined
-      ? {}
-      : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(question) };
+function ask<T>(path: string, question?: unknown): Promise<T> {
+  const headers = { "Content-Type": "application/json" };
+  return fetchJson<T>(path, question === undefined ? {} : { method: "POST", headers, body: JSON.stringify(question) });
+}
+
+async function fetchJson<T>(path: string, sent: RequestInit): Promise<T> {
   let response: Response;
   try {
     response = await fetch(path, sent);

@@ -24,6 +24,9 @@ from inpaint3d.contracts.models.untrusted import UntrustedError, parse_json
 
 LOOPBACK = "127.0.0.1"
 MAX_BODY_BYTES = 256 * 1024
+MAX_PICTURE_BYTES = 128 * 1024 * 1024
+"""Of a picture that is put on the page: 16 bits of 20 megapixels, not compressed."""
+PICTURES = ("image/png", "image/tiff")
 MAX_CONNECTIONS = 32
 IDLE_S = 30.0
 """A connection that says nothing for so long is closed."""
@@ -62,7 +65,8 @@ class Refusal(Exception):
 
 Get = Callable[[str], Answer]
 Post = Callable[[str, Any], Answer]
-"""A path without its token (`frames/frame_000.jpg`), for POST with the JSON value that was sent."""
+Put = Callable[[str, bytes], Answer]
+"""A path without its token (`frames/frame_000.jpg`); for POST with the JSON value, for PUT with the picture sent."""
 
 
 def answer_json(value: Any, status: HTTPStatus = HTTPStatus.OK) -> Answer:
@@ -75,10 +79,10 @@ class PageServer(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = MAX_CONNECTIONS
 
-    def __init__(self, get: Get, post: Post | None = None, port: int = 0) -> None:
-        """Without `post` nothing can be sent: what is served is to be read only."""
+    def __init__(self, get: Get, post: Post | None = None, port: int = 0, *, put: Put | None = None) -> None:
+        """Without `post` and `put` nothing can be sent: what is served is to be read only."""
         super().__init__((LOOPBACK, port), _Handler)
-        self.get, self.post = get, post
+        self.get, self.post, self.put = get, post, put
         self.token = secrets.token_urlsafe(24)
         self._free = threading.BoundedSemaphore(MAX_CONNECTIONS)
 
@@ -132,6 +136,16 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         self._answer(self._post)
 
+    def do_PUT(self) -> None:
+        self._answer(self._put)
+
+    def _put(self, path: str) -> Answer:
+        if self._page.put is None:
+            raise Refusal(HTTPStatus.METHOD_NOT_ALLOWED, "no picture can be put on this page")
+        if self.headers.get_content_type() not in PICTURES:
+            raise Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, f"what is put here is to be {' or '.join(PICTURES)}")
+        return self._page.put(path, self._read_bytes(MAX_PICTURE_BYTES))
+
     def _post(self, path: str) -> Answer:
         if self._page.post is None:
             raise Refusal(HTTPStatus.METHOD_NOT_ALLOWED, "nothing can be sent to this page")
@@ -182,18 +196,22 @@ class _Handler(BaseHTTPRequestHandler):
         """The JSON value that was sent, read within bounds."""
         if self.headers.get_content_type() != "application/json":
             raise Refusal(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "what is sent is to be application/json")
+        try:
+            return parse_json(self._read_bytes(MAX_BODY_BYTES))
+        except UntrustedError as error:
+            raise Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
+
+    def _read_bytes(self, limit: int) -> bytes:
+        """What was sent, of as many bytes as it says, and not more than the limit."""
         said = self.headers.get_all("Content-Length", [])
         if len(said) != 1 or "Transfer-Encoding" in self.headers or not re.fullmatch(r"[0-9]{1,9}", said[0]):
             raise Refusal(HTTPStatus.LENGTH_REQUIRED, "what is sent is to say its length")
-        if (length := int(said[0])) > MAX_BODY_BYTES:
-            raise Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {MAX_BODY_BYTES // 1024} KiB were sent")
+        if (length := int(said[0])) > limit:
+            raise Refusal(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {limit // 1024} KiB were sent")
         data = self.rfile.read(length)
         if len(data) < length:
             raise Refusal(HTTPStatus.BAD_REQUEST, f"{length} bytes were announced, {len(data)} came")
-        try:
-            return parse_json(data)
-        except UntrustedError as error:
-            raise Refusal(HTTPStatus.BAD_REQUEST, str(error)) from error
+        return data
 
     def _send(self, answer: Answer) -> None:
         self._policy = answer.policy

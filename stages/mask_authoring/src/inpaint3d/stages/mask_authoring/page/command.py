@@ -13,6 +13,7 @@ from inpaint3d.contracts.models.artifacts import Capture, PosedCapture, Radiance
 from inpaint3d.contracts.store import Artifact, open_store
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.editor import Editor
+from inpaint3d.stages.mask_authoring.page.painted import PaintedFolder
 from inpaint3d.stages.mask_authoring.page.pictures import open_subject
 from inpaint3d.stages.mask_authoring.sam import load_segmenter
 
@@ -33,6 +34,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--radiance-field", help="digest; without one masks are not carried")
     parser.add_argument("--segmenter", help="digest; without one GrabCut finds what is pointed at")
     parser.add_argument("--save", type=Path, required=True, help="file for the mask request")
+    parser.add_argument("--painted", type=Path, help="folder with views to paint in; without it none can be dropped")
     parser.add_argument("--title", default="", help="what is edited")
     parser.add_argument("--then", default="", help="the command that goes on with what was saved")
     parser.add_argument("--port", type=int, default=0, help="default: any that is free")
@@ -54,6 +56,8 @@ def _serve(options: argparse.Namespace) -> None:
         open_optional(options.radiance_field, RadianceFieldArtifact),
         load_segmenter(segmenter, THREADS) if segmenter else None,
     )
-    editor = Editor(options.title, subject, options.save, options.then, Config())
-    with contextlib.closing(editor), PageServer(editor.get, editor.post, options.port) as server:
+    painted = PaintedFolder(options.painted) if options.painted else None
+    editor = Editor(options.title, subject, options.save, options.then, Config(), painted=painted)
+    put = editor.put if painted else None
+    with contextlib.closing(editor), PageServer(editor.get, editor.post, options.port, put=put) as server:
         server.announce_and_serve()

@@ -1,6 +1,7 @@
 """What the page asks and is told: pictures, the mask on a view, masks carried to the others, and saving."""
 
 import mimetypes
+import shlex
 import threading
 from collections.abc import Callable
 from dataclasses import asdict
@@ -9,6 +10,7 @@ from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
+from urllib.parse import unquote
 
 from pydantic import Field
 
@@ -19,6 +21,7 @@ from inpaint3d.contracts.models.base import Closed, FrameName
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.page.carrying import Carrier
 from inpaint3d.stages.mask_authoring.page.masks import check_request, mask_at_once, trace_outline
+from inpaint3d.stages.mask_authoring.page.painted import PaintedFolder
 from inpaint3d.stages.mask_authoring.page.pictures import PICTURE_SIDE, THUMBNAIL_SIDE, Subject
 from inpaint3d.stages.mask_authoring.page.saving import read_request, write_request
 
@@ -52,12 +55,27 @@ class SaveQuestion(Closed):
     request: MaskRequest
 
 
+class ForgetQuestion(Closed):
+    """What was painted in a view is no longer to count."""
+
+    view: FrameName
+
+
 class Editor:
     """The page of one capture. `saved`: the file for requests; `then`: the command that goes on with it."""
 
-    def __init__(self, title: str, subject: Subject, saved: Path, then: str, config: Config, seed: int = 0) -> None:
-        self._title, self._subject, self._saved, self._then = title, subject, saved, then
-        self._config, self._seed = config, seed
+    def __init__(
+        self,
+        title: str,
+        subject: Subject,
+        saved: Path,
+        then: str,
+        config: Config,
+        seed: int = 0,
+        painted: PaintedFolder | None = None,
+    ) -> None:
+        self._title, self._subject, self._saved, self._command = title, subject, saved, then
+        self._config, self._seed, self._painted = config, seed, painted
         self._one_at_a_time = threading.Lock()
         self._encode = lru_cache(maxsize=KEPT_PICTURES)(subject.picture)
         self._carrier = Carrier(subject, config, seed)
@@ -68,6 +86,8 @@ class Editor:
             "progress": (ProgressQuestion, self._progress),
             "save": (SaveQuestion, self._save),
         }
+        if painted is not None:
+            self._methods["forget"] = (ForgetQuestion, self._forget)
 
     def close(self) -> None:
         """End what is at work in the background."""
@@ -80,6 +100,9 @@ class Editor:
         folder, _, name = path.partition("/")
         if folder in SIDES and name.endswith(".jpg"):
             return Answer(self._picture(name.removesuffix(".jpg"), SIDES[folder]), "image/jpeg")
+        if folder == "painted" and self._painted is not None and name.endswith(".png"):
+            part, _, view = name.removesuffix(".png").partition("/")
+            return Answer(self._painted.read(part, view), "image/png")
         if (file := path or BUNDLE[0]) in BUNDLE:
             return Answer(_read_bundle(file), mimetypes.guess_type(file)[0] or "text/plain")
         raise Refusal(HTTPStatus.NOT_FOUND, "there is no such thing here")
@@ -90,6 +113,31 @@ class Editor:
             raise Refusal(HTTPStatus.NOT_FOUND, "there is no such thing here")
         model, method = self._methods[path]
         return answer_json(method(model.model_validate(value)))
+
+    def put(self, path: str, picture: bytes) -> Answer:
+        """Keep a painted view, `painted/NAME.png`."""
+        folder, _, name = path.partition("/")
+        if folder != "painted" or self._painted is None:
+            raise Refusal(HTTPStatus.NOT_FOUND, "there is no such thing here")
+        with self._one_at_a_time:
+            self._painted.take(unquote(name), picture)
+        return answer_json(self._describe_painted(self._painted))
+
+    def _forget(self, question: ForgetQuestion) -> dict[str, Any]:
+        if self._painted is None or question.view not in self._painted.views():
+            raise Refusal(HTTPStatus.NOT_FOUND, "there is no view of this name")
+        self._painted.remove(question.view)
+        return self._describe_painted(self._painted)
+
+    def _describe_painted(self, painted: PaintedFolder) -> dict[str, Any]:
+        return {"views": painted.views(), "file": str(painted.folder), "then": self._then}
+
+    @property
+    def _then(self) -> str:
+        """The command that goes on, with what was painted where something is."""
+        if self._painted is None or not any(self._painted.views().values()):
+            return self._command
+        return f"{self._command} --painted {shlex.quote(str(self._painted.folder))}"
 
     def _describe(self) -> dict[str, Any]:
         frames = [
@@ -106,6 +154,7 @@ class Editor:
             "title": self._title, "frames": frames, "missing": self._subject.missing,
             "finder": segmenter.name if segmenter else GRABCUT, "saved": saved,
             "problem": problem, "file": str(self._saved), "then": self._then,
+            "painted": None if self._painted is None else self._describe_painted(self._painted),
         }  # fmt: skip
 
     def _picture(self, name: str, longest: int) -> bytes:
