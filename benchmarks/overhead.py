@@ -80,7 +80,9 @@ def write_ours(folder: Path, width: int = WIDTH) -> System:
     installed.mkdir()
     metadata = "Metadata-Version: 2.1\nName: inpaint3d-noop\nVersion: 0.1.0\nRequires-Dist: inpaint3d-contracts\n\n"
     (installed / "METADATA").write_text(metadata)
-    (installed / "direct_url.json").write_text(json.dumps({"url": (folder / "stage").as_uri(), "dir_info": {}}))
+    (installed / "direct_url.json").write_text(
+        json.dumps({"url": (folder / "stage").as_uri(), "dir_info": {"editable": True}})
+    )
     schemas = folder / "schemas" / "parameters"
     schemas.mkdir(parents=True)
     (schemas / "noop.json").write_text(json.dumps(_noop_schema()))
