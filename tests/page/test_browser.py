@@ -131,6 +131,7 @@ def meet(browser, room: Room, url: str, saved: Path) -> Iterator[Person]:
 
 
 def test_a_click_masks_the_ball_everywhere_and_the_next_stage_takes_what_was_saved(person, room):
+    expect(person.page.get_by_text("Painted views")).to_be_hidden()  # there is no folder of them
     person.press("PageDown", "PageDown")
     expect(person.page.locator("#name")).to_have_text("view_002 (3 of 5)")
     expect(person.page.locator("#finder")).to_have_text("GrabCut")
