@@ -1,10 +1,11 @@
 """Writes the tables of docs/reliability.md from what was measured: `python -m tests.faults.write_docs`."""
 
 import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from benchmarks.pages import fill_between
 
 from tests.faults.kills import NOBODY, VICTIMS
 
@@ -103,9 +104,7 @@ def fill_page(text: str) -> str:
         "kills": write_kills(), "trials": write_trials(), "overhead": write_overhead(), "peers": write_peers(),
     }  # fmt: skip
     for name, table in tables.items():
-        text = re.sub(
-            rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", lambda m, t=table: m[1] + t + m[2], text, flags=re.DOTALL
-        )
+        text = fill_between(text, name, f"\n{table}")
     return text
 
 

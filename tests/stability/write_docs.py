@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import FunctionType
 
+from benchmarks.pages import fill_between
+
 from tests.stability.catalogue import HardCase
 
 ROOT = Path(__file__).parents[2]
@@ -102,9 +104,7 @@ def fill_page(text: str) -> str:
         "invariance": write_invariance(),
     }
     for name, table in tables.items():
-        text = re.sub(
-            rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", lambda m, t=table: m[1] + t + m[2], text, flags=re.DOTALL
-        )
+        text = fill_between(text, name, f"\n{table}")
     return text
 
 
