@@ -30,6 +30,15 @@ def test_planes_are_found_among_clutter(rng: np.random.Generator) -> None:
         assert sign * plane.offset == pytest.approx(offset, abs=2e-3)
 
 
+def test_a_plane_among_much_else_is_not_askew(rng: np.random.Generator) -> None:
+    """One point in five is on it, so that few triples are: none of them leans as little as all of its points do."""
+    plane = np.c_[rng.uniform(-0.5, 0.5, (1000, 2)), rng.normal(0, TOLERANCE / 2, 1000)]
+    for _ in range(5):
+        found = fit_planes(rng.permutation(np.concatenate([plane, rng.uniform(-1, 1, (4000, 3))])), TOLERANCE)
+        tilt = np.degrees(np.arccos(abs(found[0].normal[2])))
+        assert tilt < 0.1
+
+
 def test_clutter_holds_no_plane(rng: np.random.Generator) -> None:
     """A slab of a crowd of points has many points, and is no surface."""
     assert fit_planes(rng.uniform(-1, 1, (20_000, 3)), TOLERANCE) == []
