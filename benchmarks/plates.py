@@ -2,7 +2,14 @@
 
     python examples/demo/render.py --clean --out FOLDER                 # the truth: renderer/clean
     inpaint3d run examples/demo/capture --mask examples/demo/mask.yaml --name demo --want plate-export
-    python benchmarks/plates.py --run runs/demo --clean FOLDER/renderer/clean [--painted runs/painted --by frame_024]
+    python -m benchmarks.plates --run runs/demo --clean FOLDER/renderer/clean
+
+What painting is worth: the truth of one view, painted, in the plates of the others.
+
+    inpaint3d paint ask demo --out to-paint
+    python -m benchmarks.plates --run runs/demo --clean FOLDER/renderer/clean --paint to-paint
+    inpaint3d run ... --name painted --want plate-export --painted to-paint
+    python -m benchmarks.plates --run runs/demo --clean FOLDER/renderer/clean --painted runs/painted
 
 Writes `benchmarks/results/plates.json`. The field's render is that of `joint-optimization` at the posed frames' size,
 enlarged to the photo's, its colours brought to the photo's by a gain and an offset for each channel on known pixels.
@@ -28,7 +35,8 @@ from inpaint3d.perception.lpips import load as load_lpips
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import read_image, read_mask
+from inpaint3d.scene.image_io import read_codes, read_image, read_mask, write_png
+from inpaint3d.scene.psnr import psnr
 from inpaint3d.stages.plate_export.lens import Box, PhotoCamera
 from inpaint3d.stages.plate_export.photos import sample_cubic
 
@@ -48,10 +56,6 @@ class Run:
 
     def open(self, node: str, port: str, model: type) -> Any:
         return self.store.open(self.outputs[node][port], model)
-
-
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.mean((a - b) ** 2)))
 
 
 def find_box(mask: np.ndarray) -> tuple[slice, slice]:
@@ -104,7 +108,7 @@ def measure_plates(run: Run, clean: Path) -> dict[str, Any]:
         for name, picture in (("plate", plate[box]), ("render", render), ("render, photo around it", composed)):
             row[name] = {
                 "psnr": psnr(picture, truth[box]),
-                "psnr_hole": psnr(picture[mask[box]], truth[box][mask[box]]),
+                "psnr_hole": psnr(picture, truth[box], mask[box]),
                 "lpips": lpips.distance(picture, truth[box]),
             }
         rows.append(row)
@@ -124,9 +128,31 @@ def average(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, dic
     return {n: {m: float(np.mean([r[n][m] for r in rows])) for m in rows[0][n]} for n in names}
 
 
-def measure_painted(before: Run, after: Run, by: str, clean: Path) -> dict[str, Any]:
+def paint_truth(run: Run, folder: Path, clean: Path) -> None:
+    """Paint the truth of the first view that was asked for (`inpaint3d paint ask`) inside its mask; of no other."""
+    posed = run.open("pose-estimation", "posed-capture", PosedCapture)
+    names = [frame.name for frame in posed.metadata.frames if (folder / "asked" / f"{frame.name}.png").exists()]
+    by = names[0]
+    for name in names[1:]:
+        (folder / f"{name}.png").unlink(missing_ok=True)
+    frame = next(frame for frame in posed.metadata.frames if frame.name == by)
+    if not (clean / f"{by}.png").exists():
+        raise SystemExit(f"{clean} has no {by}.png; render it: examples/demo/render.py --clean --only {by}")
+    asked, mask = read_image(folder / "asked" / f"{by}.png"), read_mask(folder / "masks" / f"{by}.png")
+    codes = read_codes(clean / f"{by}.png")
+    camera = PhotoCamera.from_frame(frame, posed.metadata.lens, codes.shape[1], codes.shape[0])
+    canvas = camera.canvas
+    rays = (canvas.pixel_centres() - (canvas.cx, canvas.cy)) / (canvas.fx, canvas.fy)
+    truth = sample_cubic(codes, camera.project(rays).reshape(-1, 2)).reshape(asked.shape)
+    write_png(folder / f"{by}.png", np.where(mask[..., None], truth, asked).clip(0, 1).astype(np.float32))
+    print(f"painted {by} in {folder}")
+
+
+def measure_painted(before: Run, after: Run, clean: Path) -> dict[str, Any]:
     """The unpainted run's plates and those of the painted one against the truth, in every view but the painted one."""
     lpips = load_lpips("vgg")
+    completed = after.open("view-completion", "completed-views", CompletedViews)
+    by = completed.metadata.paintings[0].name
     rows: list[dict[str, Any]] = []
     opened = {n: r.open("plate-export", "clean-plates", CleanPlates) for n, r in (("before", before), ("after", after))}
     for record in opened["before"].metadata.plates:
@@ -138,12 +164,11 @@ def measure_painted(before: Run, after: Run, by: str, clean: Path) -> dict[str, 
         for name, plates in opened.items():
             picture = read_image(plates.path(next(p for p in plates.metadata.plates if p.name == record.name).picture))
             row[name] = {
-                "psnr_hole": psnr(picture[mask], truth[mask]),
+                "psnr_hole": psnr(picture, truth, mask),
                 "lpips": lpips.distance(picture[box], truth[box]),
             }
         rows.append(row)
         print(json.dumps(row), flush=True)
-    completed = after.open("view-completion", "completed-views", CompletedViews)
     return {
         "painted": by,
         "views": rows,
@@ -157,15 +182,18 @@ def main() -> None:
     parser.add_argument("--run", type=Path, required=True)
     parser.add_argument("--clean", type=Path, required=True, help="folder of the truth at the photos' cameras")
     parser.add_argument("--store", type=Path, default=Path(".inpaint3d/store"))
-    parser.add_argument("--painted", type=Path, help="the run of the same capture in which --by was painted")
-    parser.add_argument("--by", default="frame_024")
+    parser.add_argument("--paint", type=Path, help="folder of `inpaint3d paint ask` to paint the truth into; no more")
+    parser.add_argument("--painted", type=Path, help="the run of the same capture with what was painted")
     options = parser.parse_args()
     store = FolderStore(options.store)
     run = Run(options.run, store)
+    if options.paint is not None:
+        paint_truth(run, options.paint, options.clean)
+        return
     results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     results |= {"code": commit(), "plates": measure_plates(run, options.clean)}
     if options.painted is not None:
-        results["painted"] = measure_painted(run, Run(options.painted, store), options.by, options.clean)
+        results["painted"] = measure_painted(run, Run(options.painted, store), options.clean)
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
 
 

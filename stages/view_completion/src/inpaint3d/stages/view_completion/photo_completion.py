@@ -7,6 +7,7 @@ radiance fields does (Mirzaei et al. 2023, arXiv:2304.09677), until nothing is l
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from inpaint3d.scene.visibility import enlarge_cells, find_visible
 from inpaint3d.stages.view_completion.completion import Completion
 from inpaint3d.stages.view_completion.config import PhotoCompletion
 from inpaint3d.stages.view_completion.drafts import (
+    KNOWN_REACH,
     Draft,
     Sources,
     restore_exposure,
@@ -206,7 +208,10 @@ def _carry(reference: Draft, other: Draft) -> None:
     """
     points = reference.view.camera.unproject(reference.view.camera.pixel_centres(), reference.depth)
     splat = sparse_depth(other.coarse.camera, points[reference.view.hole])
-    other.settle(other.unsure & np.isfinite(splat), splat)
+    found = other.unsure & np.isfinite(splat)
+    # A cell gets the depth of what falls into it anywhere, and nearest: off its middle, and before the surface.
+    carried = other.flat.snap(replace(other.coarse, depth=np.where(found, splat, other.coarse.depth)), KNOWN_REACH)
+    other.settle(found, carried.depth)
     settled = ~enlarge_cells(other.unsure, other.missing.shape)
     xy, seen = correspondences(other.view.camera, other.depth, reference.view.camera, reference.depth)
     sources = _trace_sources(reference, xy, seen)
