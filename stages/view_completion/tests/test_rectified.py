@@ -16,7 +16,7 @@ from inpaint3d.stages.view_completion.rectified import (
     measure_lines_crossed,
     resample,
 )
-from inpaint3d.stages.view_completion.surfaces import FlatScene, Relief
+from inpaint3d.stages.view_completion.surfaces import FlatScene
 
 SIZE = (160, 120)
 FLOOR = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
@@ -57,7 +57,7 @@ def draft_of(camera: Camera, picture: np.ndarray, hole: np.ndarray) -> Draft:
     pixels = camera.pixel_centres().reshape(-1, 2)
     depth = FLOOR.depth(camera, pixels).reshape(hole.shape).astype(np.float32)
     view = MaskedView("view", camera, np.where(hole[..., None], 0, picture).astype(np.float32), hole, ~hole)
-    draft = start_draft(0, view, depth, view.image, FlatScene([Relief(FLOOR, np.zeros((0, 3)))], 0.005))
+    draft = start_draft(0, view, depth, view.image, FlatScene([FLOOR], 0.005))
     span_unsure(draft)
     return draft
 

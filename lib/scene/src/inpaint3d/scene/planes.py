@@ -39,20 +39,14 @@ class Plane:
         normal = np.linalg.svd(points - middle, full_matrices=False)[2][2]
         return cls(normal, float(normal @ middle))
 
-    def height(self, points: Array) -> Array:
-        """How far points [..., 3] lie off it along its normal, scene units."""
-        return points @ self.normal - self.offset
-
     def distance(self, points: Array) -> Array:
         """How far points [..., 3] lie off it, scene units."""
-        return np.abs(self.height(points))
+        return np.abs(points @ self.normal - self.offset)
 
-    def depth(self, camera: Camera, pixels: Array, height: Array | float = 0.0) -> Array:
-        """Depth z at which a camera sees it, or what lies at a height [n] over it, at pixels [n, 2]; inf where it does
-        not.
-        """
+    def depth(self, camera: Camera, pixels: Array) -> Array:
+        """Depth z at which a camera sees it at pixels [n, 2]; inf where it does not."""
         towards = camera.unproject(pixels, np.ones(len(pixels))) - camera.centre
-        ahead, off = towards @ self.normal, self.offset + height - camera.centre @ self.normal
+        ahead, off = towards @ self.normal, self.offset - camera.centre @ self.normal
         depth = np.divide(off, ahead, out=np.full(len(pixels), np.inf), where=ahead != 0)
         return np.where(depth > 0, depth, np.inf)
 
