@@ -72,6 +72,8 @@ def test_nothing_stands_in_the_way_of_anybody(browser, address, size):
         (f"render/inpainted/colour/64/me/1/{POSE},0.8", 400),
         (f"render/inpainted/colour/64000/me/1/{POSE},0.8,0.75", 400),
         (f"render/inpainted/colour/64/me/1/{POSE.replace('2', 'nan')},0.8,0.75", 400),
+        (f"render/inpainted/colour/64/me/1/{POSE},0.005,0.75", 422),
+        (f"render/inpainted/colour/64/me/1/{POSE},0.8,200", 422),
         (f"render/nothing/colour/64/me/1/{POSE},0.8,0.75", 422),
         ("photo/../../etc/passwd", 404),
     ],
