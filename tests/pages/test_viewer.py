@@ -106,3 +106,6 @@ def test_a_film_is_as_long_as_was_asked_for(cli, tmp_path):
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 6
     assert film.get(cv2.CAP_PROP_FRAME_WIDTH) == 32
     assert cli("video", "bad").returncode == 3  # it has no field
+    refused = cli("video", "good", "--out", str(tmp_path / "way.gif"), "--width", "32")
+    assert refused.returncode == 3
+    assert "a film ends in .mp4" in refused.stderr
