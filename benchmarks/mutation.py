@@ -43,6 +43,7 @@ RELATED = {
     f"{RADIANCE}/line_of_sight.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_line_of_sight.py"],
     f"{RADIANCE}/backends/reference.py": [
         f"{STABILITY}/test_rendering.py", f"{STABILITY}/test_fields.py", "lib/radiance/tests/test_reference.py",
+        "lib/radiance/tests/test_losses.py",
     ],
     f"{RADIANCE}/optim.py": [f"{STABILITY}/test_rendering.py"],
     f"{RADIANCE}/training.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_training.py"],
