@@ -43,6 +43,7 @@ RELATED = {
     f"{RADIANCE}/line_of_sight.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_line_of_sight.py"],
     f"{RADIANCE}/backends/reference.py": [
         f"{STABILITY}/test_rendering.py", f"{STABILITY}/test_fields.py", "lib/radiance/tests/test_reference.py",
+        "lib/radiance/tests/test_losses.py",
     ],
     f"{RADIANCE}/optim.py": [f"{STABILITY}/test_rendering.py"],
     f"{RADIANCE}/training.py": [f"{STABILITY}/test_rendering.py", "lib/radiance/tests/test_training.py"],
@@ -81,6 +82,7 @@ RELATED = {
     f"{EXPORT}/texture.py": ["stages/usd_export/tests/test_atlas.py"],
     f"{EXPORT}/atlas.py": ["stages/usd_export/tests/test_atlas.py"],
     f"{EVALUATION}/scores.py": [f"{STABILITY}/test_metrics.py", "stages/evaluation/tests/test_scores.py"],
+    f"{EVALUATION}/bench.py": ["stages/evaluation/tests/test_run.py"],
     f"{EVALUATION}/protocols.py": ["stages/evaluation/tests/test_run.py"],
     f"{ORCHESTRATOR}/budget/choice.py": ["orchestrator/tests/test_budget.py"],
     f"{ORCHESTRATOR}/study/points.py": ["orchestrator/tests/test_study.py"],
@@ -169,7 +171,7 @@ BY_HAND = [
     (f"{EXPORT}/texture.py", "if known.any():", "if True:"),
     (f"{EXPORT}/atlas.py", "size, PADDING", "size, 0"),
     (f"{EVALUATION}/methods.py", "~np.isfinite(values)", "np.isnan(values)"),
-    (f"{EVALUATION}/protocols.py", "return not any(counts.values())", "return True"),
+    (f"{EVALUATION}/bench.py", "return not any(counts.values())", "return True"),
     (f"{EVALUATION}/protocols.py", "sum(map(math.isnan, found))", "0"),
     (f"{ORCHESTRATOR}/budget/choice.py", "max(0.0, spare)", "spare"),
     (f"{ORCHESTRATOR}/budget/choice.py", "min(1.0, max(0.0, spare) / planned)", "max(0.0, spare) / planned"),
@@ -254,10 +256,9 @@ def _by_pattern(file: str) -> Iterator[Mutant]:
     text = (ROOT / file).read_text()
     starts = [0, *itertools.accumulate(len(line.encode()) + 1 for line in text.split("\n"))]
     for node in ast.walk(ast.parse(text)):
-        after = _without_guard(node, text)
-        before = ast.get_source_segment(text, node)
-        if after is None or before is None or not isinstance(node, ast.expr):
+        if not isinstance(node, ast.expr) or (after := _without_guard(node, text)) is None:
             continue
+        before = ast.get_source_segment(text, node) or ""
         offset = len(text.encode()[: starts[node.lineno - 1] + node.col_offset].decode())
         yield Mutant(file, node.lineno, before, after, offset)
 

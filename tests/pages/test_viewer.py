@@ -72,6 +72,8 @@ def test_nothing_stands_in_the_way_of_anybody(browser, address, size):
         (f"render/inpainted/colour/64/me/1/{POSE},0.8", 400),
         (f"render/inpainted/colour/64000/me/1/{POSE},0.8,0.75", 400),
         (f"render/inpainted/colour/64/me/1/{POSE.replace('2', 'nan')},0.8,0.75", 400),
+        (f"render/inpainted/colour/64/me/1/{POSE},0.005,0.75", 422),
+        (f"render/inpainted/colour/64/me/1/{POSE},0.8,200", 422),
         (f"render/nothing/colour/64/me/1/{POSE},0.8,0.75", 422),
         ("photo/../../etc/passwd", 404),
     ],
@@ -104,3 +106,6 @@ def test_a_film_is_as_long_as_was_asked_for(cli, tmp_path):
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 6
     assert film.get(cv2.CAP_PROP_FRAME_WIDTH) == 32
     assert cli("video", "bad").returncode == 3  # it has no field
+    refused = cli("video", "good", "--out", str(tmp_path / "way.gif"), "--width", "32")
+    assert refused.returncode == 3
+    assert "a film ends in .mp4" in refused.stderr

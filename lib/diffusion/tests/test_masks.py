@@ -33,3 +33,8 @@ def test_the_same_generator_draws_the_same_masks() -> None:
 def test_a_mix_that_cannot_be_drawn_is_refused(mix) -> None:
     with pytest.raises(ValueError, match="kinds are"):
         random_masks(1, 32, np.random.default_rng(0), mix)
+
+
+@pytest.mark.parametrize("size", [1, 2, 8])
+def test_strokes_are_a_pixel_thick_at_least(size: int) -> None:
+    assert all(strokes(size, np.random.default_rng(seed)).any() for seed in range(30))

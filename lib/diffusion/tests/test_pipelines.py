@@ -73,6 +73,13 @@ def test_known_pixels_are_noised_exactly_where_a_model_is_not_shown_the_mask(pic
     assert torch.equal(noise[~known], inside[~known])
 
 
+def test_a_pipeline_with_two_text_encoders_is_refused(tmp_path: Path) -> None:
+    pipeline = latent_pipeline(tmp_path, 9)
+    pipeline.text_encoder_2 = pipeline.text_encoder
+    with pytest.raises(ValueError, match="has two text encoders"):
+        PipelinePrior(pipeline)
+
+
 def test_what_is_shown_is_encoded_once(picture, hole, tmp_path: Path) -> None:
     prior = PipelinePrior(latent_pipeline(tmp_path, 9))
     made: list[int] = []

@@ -63,6 +63,12 @@ def test_outer_measure_counts_every_interval_that_overlaps() -> None:
     torch.testing.assert_close(outer_measure(ends, other_ends, other), torch.tensor([[0.3, 0.5, 0.4]]))
 
 
+def test_outer_measure_is_nothing_before_and_behind_the_other_histogram() -> None:
+    other_ends, other = torch.tensor([[0.2, 0.4, 0.6]]), torch.tensor([[0.3, 0.5]])
+    ends = torch.tensor([[0.0, 0.1, 0.3, 0.7, 0.9]])
+    torch.testing.assert_close(outer_measure(ends, other_ends, other), torch.tensor([[0.0, 0.3, 0.8, 0.0]]))
+
+
 def test_outer_measure_equals_the_double_loop() -> None:
     (ends, _), (other_ends, other) = histogram(4, 6, seed=1), histogram(4, 9, seed=3)
     overlap = (other_ends[:, None, 1:] > ends[:, :-1, None]) & (other_ends[:, None, :-1] < ends[:, 1:, None])

@@ -165,6 +165,11 @@ def test_resampled_ends_are_sorted_and_inside(scale: float, jittered: bool) -> N
     assert (ends[:, -1] <= sdist[:, -1]).all()
 
 
+def test_no_jitter_leaves_the_histogram() -> None:
+    ends = reference.resample(torch.linspace(0, 1, 5)[None], torch.ones(1, 4), 3, torch.tensor([[-5.0, 0.5, 9.0]]))
+    torch.testing.assert_close(ends, torch.tensor([[0.0, 0.25, 0.75, 1.0]]), rtol=0, atol=1e-6)
+
+
 def test_a_histogram_with_all_its_weight_in_one_interval_puts_the_centres_there() -> None:
     weights = torch.zeros(1, 10)
     weights[0, 6] = 1

@@ -24,7 +24,8 @@ def test_every_byte_comes_back():
 
 
 def test_outside_values_are_clipped_and_dtype_is_kept():
-    np.testing.assert_allclose(srgb_from_linear(np.array([-1, 2], np.float32)), [0, 1], rtol=1e-6)
+    for curve in (srgb_from_linear, linear_from_srgb):
+        np.testing.assert_allclose(curve(np.array([-1, 2], np.float32)), [0, 1], rtol=1e-6)
     assert srgb_from_linear(np.zeros(2, np.float32)).dtype == np.float32
     assert to_bytes([-0.1, 1.1, 0.5]).tolist() == [0, 255, 128]
 

@@ -173,6 +173,16 @@ def test_vignetting_is_measured_in_ev_at_the_corner(tmp_path):
     assert state(vignetting, evidence) == "noticed"
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_does_not_darken_corners(value):
+    square = np.random.default_rng(7).uniform(0, 1, (50, 4))
+    values, known = -0.5 * square, square.copy()
+    known[::5, 1] = value
+    assert vignetting.fit_slope(values, known) == pytest.approx(0.5)
+    values[1::5, 2] = value
+    assert vignetting.fit_slope(values, known) == pytest.approx(0.5)
+
+
 def test_a_lobe_is_told_by_near_views_and_noise_is_not():
     rng = np.random.default_rng(3)
     angle = np.deg2rad(np.arange(31) * 5.9)  # cameras on a half circle round the points
@@ -256,6 +266,18 @@ def test_a_readout_is_measured_from_residuals(plain, readout):
     assert found.size is not None
     assert found.size.value == pytest.approx(readout, abs=0.02)
     assert state(rolling_shutter, rolled) == ("noticed" if readout else "off")
+
+
+def test_matches_that_are_not_finite_tell_nothing_of_rows(plain):
+    _, skew = rolling_shutter.list_skews(plain)
+    residual = 0.3 * skew + np.random.default_rng(6).normal(0, 0.2, skew.shape)
+    known = np.argwhere(np.isfinite(residual).all(-1))
+    broken, unknown = residual.copy(), residual.copy()
+    for values, value in ((broken, np.inf), (unknown, np.nan)):
+        values[tuple(known[:-600].T)] = value
+    assert rolling_shutter.fit_readout(broken, skew) == rolling_shutter.fit_readout(unknown, skew)
+    broken[tuple(known[:-499].T)] = np.inf
+    assert rolling_shutter.measure(replace(plain, residual=broken)).words.startswith("only 499 matches")
 
 
 def test_photos_without_an_order_tell_nothing_of_rows(plain):

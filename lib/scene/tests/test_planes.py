@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from inpaint3d.scene.planes import fit_planes
+from inpaint3d.scene.cameras import Camera, look_at
+from inpaint3d.scene.planes import Plane, fit_planes
 
 TOLERANCE = 0.01
 
@@ -54,3 +55,11 @@ def test_the_same_points_give_the_same_planes(rng: np.random.Generator) -> None:
     points = np.concatenate([points_on(np.array([0.0, 0.0, 1.0]), 0.1, 300, rng), rng.uniform(-1, 1, (300, 3))])
     (one,), (two,) = fit_planes(points, TOLERANCE), fit_planes(points.copy(), TOLERANCE)
     np.testing.assert_array_equal(one.normal, two.normal)
+
+
+def test_a_plane_is_seen_before_the_camera_and_nowhere_along_it() -> None:
+    camera = Camera(10, 10, 8, 8, 16, 16, look_at((0, 0, 0), (0, 1, 0)))
+    floor = Plane(np.array([0.0, 0.0, 1.0]), -2.0)
+    # 4 px below the middle a ray falls by 0.4 a unit; the middle one is parallel to the floor, and those above rise.
+    pixels = np.array([[8.0, 12.0], [8.0, 8.0], [8.0, 4.0]])
+    assert floor.depth(camera, pixels).tolist() == [pytest.approx(5.0), np.inf, np.inf]

@@ -12,7 +12,7 @@ from inpaint3d.scene.image_io import read_header, read_image, turn_upright, writ
 from inpaint3d.stages.capture_ingest import colmap, llff, nerfstudio
 from inpaint3d.stages.capture_ingest.carry import carry, fit_mask
 from inpaint3d.stages.capture_ingest.found import FoundFrame
-from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera
+from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera, same_aspect
 from tests.data_sets import (
     SCENE,
     nerfstudio_frames,
@@ -333,3 +333,11 @@ def test_no_frame_is_written_over_another(tmp_path):
     carry(frame, tmp_path / "out")
     with pytest.raises(BadInputError, match=r"a_2\.png: another picture has the name a already"):
         carry(dataclasses.replace(frame, image=tmp_path / NAMES[1]), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("size", "alike"), [((43, 31), True), ((44, 28), True), ((50, 28), False), ((28, 40), False), ((1000, 700), True)]
+)
+def test_small_pictures_have_an_aspect_as_far_as_whole_pixels_allow(size, alike):
+    assert same_aspect((10, 7), size) is alike
+    assert same_aspect(size, (10, 7)) is alike

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, WaitingError
-from inpaint3d.scene.image_io import read_mask, write_mask
+from inpaint3d.scene.image_io import read_mask, write_exr, write_mask
 from inpaint3d.scene.synthetic import BALL_RADIUS, arc_cameras, synthetic_scene
 from inpaint3d.scene.volumes import sphere, volume_mask
 from inpaint3d.stages.mask_authoring.objects import check_room_around
+from inpaint3d.stages.mask_authoring.views import read_depth
 from tests.mask_bench import FAST, Bench, capture, field, make_bench, middle_of_ball, precision, put_truth, recall
 
 
@@ -177,6 +178,12 @@ def test_a_field_of_other_views_or_without_surfaces_is_refused(bench):
         bench.author({"kind": "sphere"}, **empty)
     with pytest.raises(BadInputError, match="no surface"):
         bench.author({"kind": "scribble", "view": "view_003"}, **empty)
+
+
+def test_maps_without_depth_are_refused_by_the_channels_that_they_have(tmp_path):
+    write_exr(tmp_path / "maps.exr", {"opacity.A": np.ones((2, 3))})
+    with pytest.raises(BadInputError, match=r"maps.exr has channels opacity.A but no depth.Z"):
+        read_depth(tmp_path / "maps.exr")
 
 
 def test_the_mask_set_is_written_for_every_view_at_its_size(bench):

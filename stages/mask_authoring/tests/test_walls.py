@@ -16,7 +16,7 @@ from inpaint3d.scene.geometry import ray_box, ray_sphere
 from inpaint3d.scene.morphology import shrink
 from inpaint3d.stages.mask_authoring.author import author
 from inpaint3d.stages.mask_authoring.scene import Scene
-from inpaint3d.stages.mask_authoring.segment import iou
+from inpaint3d.stages.mask_authoring.segment import Prompts, iou, segment
 from inpaint3d.stages.mask_authoring.surroundings import find_planes, lie_on, show_plane
 from inpaint3d.stages.mask_authoring.views import DepthView
 from tests.mask_bench import FAST
@@ -128,3 +128,17 @@ def test_a_plane_shows_where_it_is_and_not_where_single_depths_fall_on_it(wall):
         assert on_it[inside].mean() > 0.02
         assert show_plane(plane, view)[inside].mean() < 0.5 * on_it[inside].mean()
         assert show_plane(plane, view)[beside].mean() > 0.97
+
+
+@pytest.mark.parametrize("own", [2.0, np.inf])
+def test_a_thing_before_the_open_sky_is_found_where_the_sky_has_no_depth(own):
+    """own: depth of the thing itself, inf where the field has no surface for it either."""
+    camera = Camera(60, 60, 32, 24, 64, 48, look_at((0, -2, 0), (0, 0, 0)))
+    disc = np.linalg.norm(camera.pixel_centres() - (32, 24), axis=-1) < 9
+    sky = np.random.default_rng(0).normal(0.7, 0.02, (48, 64, 3))
+    picture = np.where(disc[..., None], sky - (0.1, 0.4, 0.5), sky).clip(0, 1).astype(np.float32)
+    depth = np.where(disc, own, np.inf)
+    depth[24, 28] = np.inf  # a point of the two is on a pixel without a surface
+    view = DepthView("view", camera, depth, lambda: picture)
+    found = segment(view, Prompts(np.array([[32.0, 24.0], [28.5, 24.5]]), np.zeros((0, 2))), rounds=2, seed=0)
+    assert iou(found, disc) > 0.9

@@ -13,7 +13,7 @@ from inpaint3d.contracts.models.artifacts import CapturedFrame, KnownCamera
 from inpaint3d.scene.cameras import as_pose
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.pose_estimation import known
-from inpaint3d.stages.pose_estimation.agreement import Cameras, measure_agreement
+from inpaint3d.stages.pose_estimation.agreement import Cameras, measure_agreement, measure_distances
 from inpaint3d.stages.pose_estimation.config import Config
 from inpaint3d.stages.pose_estimation.matches import Kind, VerifiedPair, count_kinds
 from inpaint3d.stages.pose_estimation.suspects import find_repair
@@ -190,3 +190,12 @@ def test_pairs_that_tell_no_depth_are_counted():
     still = [replace(p, second_xy=p.first_xy + 0.1, kind=Kind.PLANAR_OR_PANORAMIC) for p in PAIRS[:3]]
     counts = count_kinds([*still, replace(PAIRS[3], kind=Kind.PLANAR), *PAIRS[4:]], 160)
     assert (counts.still, counts.turned, counts.planar, counts.verified) == (3, 3, 1, len(PAIRS))
+
+
+def test_without_a_baseline_directions_alone_are_judged():
+    """Where two cameras stand in one point every ray meets every other: no match is off, none divides by nothing."""
+    cameras = right()
+    poses = [cameras.world_from_cam[0]] * 2
+    xy, inside = see(0, SCENE.points.xyz)
+    pair = VerifiedPair(0, 1, xy[inside], xy[inside], Kind.CALIBRATED)
+    assert not measure_distances(pair, Cameras(cameras.lenses, poses)).any()

@@ -106,3 +106,9 @@ def test_what_was_transparent_is_no_evidence(side):
     if bent.valid is not None:
         assert not (both & ~bent.valid).any()
     assert straight.combine_valid(np.ones((90, 120), bool)) is None
+
+
+def test_a_picture_of_one_row_keeps_it():
+    strip = pycolmap.Camera(camera_id=1, model="PINHOLE", width=400, height=1, params=[300.0, 300.0, 200.0, 0.5])
+    flat = Undistorter(strip, 100)
+    assert (flat.width, flat.height) == (100, 1)

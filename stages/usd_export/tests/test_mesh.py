@@ -168,6 +168,8 @@ def test_the_hull_of_a_balls_silhouettes_holds_the_ball():
     assert radii.max() < 0.85
     nothing = visual_hull([v.camera for v in views], [~m & m for m in masks], np.full(3, -1.0), np.full(3, 1.0), 8)
     assert len(nothing.triangles) == 0
+    alone = visual_hull([views[0].camera], [masks[0]], np.full(3, -1.0), np.full(3, 1.0), 8)
+    assert len(alone.triangles) == 0, "a single silhouette goes on for ever"
 
 
 def test_normals_that_cancel_out_are_along_z():

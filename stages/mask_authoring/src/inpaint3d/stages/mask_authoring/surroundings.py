@@ -56,7 +56,7 @@ def show_plane(plane: Plane, view: DepthView) -> Bools:
     known = np.isfinite(depth)
     on_it = np.zeros(depth.shape, bool)
     on_it[known] = lie_on(plane, view.camera.unproject(xy[known], depth[known]), view)
-    radius = max(1, math.ceil(view.camera.width / view.depth.shape[1] / 2))
+    radius = math.ceil(view.camera.width / view.depth.shape[1] / 2)
     return on_it & grow(shrink(on_it, radius), radius)
 
 

@@ -57,7 +57,7 @@ def sample_window(
         guidance=method.guidance,
         sampler="ddpm",
     )
-    return ((made[0].permute(1, 2, 0) + 1) / 2).clamp(0, 1).cpu().numpy()
+    return ((made[0].permute(1, 2, 0) + 1) / 2).cpu().numpy()
 
 
 def paste_window(view: MaskedView, window: Window, made: NDArray[np.float32]) -> Completion:
