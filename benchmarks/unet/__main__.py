@@ -32,6 +32,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from benchmarks.pages import fill_between
 from benchmarks.provenance import REPOSITORY, commit
 from diffusers.models.unets.unet_2d import UNet2DModel
 from torch import Tensor, nn
@@ -352,10 +353,7 @@ def write(report: Figures, out: Path) -> None:
     out.parent.mkdir(exist_ok=True)
     out.write_text(json.dumps(report, indent=1) + "\n")
     if out == RESULTS:
-        text = README.read_text()
-        before, _, rest = text.partition("<!-- unet -->")
-        _, _, after = rest.partition("<!-- /unet -->")
-        README.write_text(f"{before}<!-- unet -->\n{table(report)}\n<!-- /unet -->{after}")
+        README.write_text(fill_between(README.read_text(), "unet", f"\n{table(report)}\n"))
 
 
 if __name__ == "__main__":
