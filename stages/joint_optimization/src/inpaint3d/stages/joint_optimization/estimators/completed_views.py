@@ -85,7 +85,8 @@ class CompletedViewsEstimator(Guided):
 def load_filled(completed: "Artifact[CompletedViews]", setting: Setting) -> "Filled":
     """The training views with their holes filled: `hole` is what was filled. BadInputError for another capture's."""
     from inpaint3d.radiance.line_of_sight import SightLines
-    from inpaint3d.scene.image_io import read_codes, read_exr, read_image
+    from inpaint3d.scene.image_io import read_image
+    from inpaint3d.scene.map_io import read_codes, read_exr
     from inpaint3d.scene.visibility import pool_any
     from inpaint3d.stages.joint_optimization.batch import Filled
 
