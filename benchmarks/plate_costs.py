@@ -22,7 +22,8 @@ from inpaint3d.contracts.models.base import Closed, Digest
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import Artifact, FolderStore
 from inpaint3d.scene.capture_io import SparsePoints, load_points, write_points
-from inpaint3d.scene.image_io import read_codes, read_image, write_codes, write_png
+from inpaint3d.scene.image_io import read_image, write_png
+from inpaint3d.scene.map_io import read_codes, write_codes
 
 
 def measure_size(run: Run, megapixels: float, count: int) -> dict[str, Any]:

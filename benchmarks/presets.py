@@ -1,4 +1,4 @@
-"""What each preset costs and wins on the demo capture: `python benchmarks/presets.py [--run PRESET ...]`.
+"""What each preset costs and wins on the demo capture: `python -m benchmarks.presets [--run PRESET ...]`.
 
 `--run` runs the presets named (each from nothing, in a store of its own) and writes `benchmarks/results/presets.json`;
 without it, only the README's table is written again from that file.
@@ -11,10 +11,12 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.pages import fill_between
+from benchmarks.provenance import REPOSITORY
+
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.orchestrator.configure import Settings, configure
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 RESULTS = REPOSITORY / "benchmarks" / "results" / "presets.json"
 FIGURES = ("psnr", "ssim", "lpips_vgg")
 PROTOCOL = "bbox10-vgg"
@@ -94,10 +96,7 @@ def main() -> None:
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps(results, indent=1) + "\n")
     readme = REPOSITORY / "README.md"
-    text = readme.read_text()
-    before, _, rest = text.partition("<!-- presets -->")
-    _, _, after = rest.partition("<!-- /presets -->")
-    readme.write_text(f"{before}<!-- presets -->\n{table(results)}\n<!-- /presets -->{after}")
+    readme.write_text(fill_between(readme.read_text(), "presets", f"\n{table(results)}\n"))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Write the table of sizes and times in README.md from the images that were built here.
 
-python containers/measure.py [--builds .cache/image-builds.json]
+python -m containers.measure [--builds .cache/image-builds.json]
 """
 
 import argparse
@@ -8,8 +8,9 @@ import json
 import subprocess
 from pathlib import Path
 
+from benchmarks.pages import fill_between
+
 HERE = Path(__file__).parent
-BEGIN, END = "<!-- sizes -->\n", "<!-- /sizes -->\n"
 MB = 1e6
 
 
@@ -18,8 +19,7 @@ def main() -> None:
     parser.add_argument("--builds", type=Path, default=HERE.parent / ".cache" / "image-builds.json")
     given = parser.parse_args()
     readme = HERE / "README.md"
-    before, _, rest = readme.read_text().partition(BEGIN)
-    readme.write_text(before + BEGIN + table(json.loads(given.builds.read_text())) + END + rest.partition(END)[2])
+    readme.write_text(fill_between(readme.read_text(), "sizes", f"\n{table(json.loads(given.builds.read_text()))}"))
 
 
 def table(builds: dict[str, dict[str, object]]) -> str:

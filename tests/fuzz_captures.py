@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.scene.image_io import write_exr, write_png
+from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.map_io import write_exr
 from inpaint3d.stages.capture_ingest.carry import carry
 from inpaint3d.stages.capture_ingest.config import Config
 from inpaint3d.stages.capture_ingest.layouts import find

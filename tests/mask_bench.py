@@ -22,7 +22,8 @@ from inpaint3d.contracts.models.artifacts import (
 from inpaint3d.contracts.models.stage import load_stage
 from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.scene.capture_io import write_points, write_view
-from inpaint3d.scene.image_io import read_mask, write_exr, write_png
+from inpaint3d.scene.image_io import read_mask, write_png
+from inpaint3d.scene.map_io import write_exr
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.mask_authoring.config import Config
 from inpaint3d.stages.mask_authoring.run import run

@@ -24,8 +24,9 @@ import numpy as np
 from benchmarks.provenance import REPOSITORY, commit
 
 from inpaint3d.contracts.models.artifacts import EffectPlan, PosedCapture
+from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.scene.image_io import PICTURE_SUFFIXES, read_image
+from inpaint3d.scene.image_io import read_image
 from inpaint3d.stages.diffusion_training.corpus import write_corpus
 
 SOURCES = (

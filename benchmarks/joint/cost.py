@@ -21,8 +21,8 @@ from inpaint3d.radiance.training import descend
 from inpaint3d.scene.windows import Window
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide, draw_query
-from inpaint3d.stages.joint_optimization.loop import Problem, choose_window
 from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.problem import Problem, choose_window
 from inpaint3d.stages.joint_optimization.run import pose
 from inpaint3d.stages.joint_optimization.schedule import TimestepRange
 

@@ -62,7 +62,8 @@ HOLES = {
     "bear": "as on statue; no part of the rule, scored once the default was fixed",
 }
 CHANGES = {
-    "demo": "d25b18a took the object's request anew: rows of commits before it fill another hole",
+    "demo": "d25b18a took the object's request anew: rows of commits before it fill another hole. 2453e4c put another "
+    "prior into the box: rows of commits before it that ask a prior asked the older one",
 }
 """What keeps rows of different commits from being compared."""
 RULED = ("demo", "statue")

@@ -27,34 +27,26 @@ order, truth) show the photos, which are not the project's to publish: they go t
 
 import argparse
 import json
-import math
-import statistics
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 from benchmarks.pages import fill_between
+from benchmarks.prior.fills import HOLES, SEED, choose_fills
+from benchmarks.prior.judge import Judge, find_best, over_draws
 from benchmarks.provenance import REPOSITORY, commit
 from torch import Tensor
 
 from inpaint3d.contracts.models.artifacts import DiffusionPrior, ImageCorpus
 from inpaint3d.contracts.store import Artifact, load_artifact
 from inpaint3d.diffusion.io import load_prior
-from inpaint3d.diffusion.judging import fill_batch_telea, hole_psnr, to_bytes
-from inpaint3d.diffusion.masks import random_masks
-from inpaint3d.diffusion.prior import InpaintingPrior
-from inpaint3d.diffusion.samplers import inpaint
+from inpaint3d.diffusion.judging import to_bytes
 from inpaint3d.orchestrator.history import this_machine
-from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import write_png
-from inpaint3d.scene.psnr import mean_psnr
-from inpaint3d.stages.evaluation.features import lite0_features
-from inpaint3d.stages.evaluation.frechet import kernel_distance
 
 GENERAL = REPOSITORY / "priors" / "general"
 RESULTS = {
@@ -63,11 +55,7 @@ RESULTS = {
 }
 """Tables of the model card: of pictures at the prior's own size, and at 64 pixels."""
 CARD = REPOSITORY / "priors" / "README.md"
-SEED = 20
-BATCH = 10
 GRID_ROWS = 12
-
-Fill = Callable[[Tensor, Tensor], Tensor]
 
 
 def main() -> None:
@@ -171,133 +159,12 @@ def middle_square(path: Path, size: int) -> Tensor:
     return torch.from_numpy(square).permute(2, 0, 1).float() / 127.5 - 1
 
 
-def large(size: int, rng: np.random.Generator) -> np.ndarray:
-    """One box over a third to two thirds of the picture."""
-    height, width = (round(extent) for extent in np.sqrt(rng.uniform(1 / 3, 2 / 3)) * size * _aspect(rng))
-    y, x = (int(rng.integers(size - extent + 1)) for extent in (height, width))
-    mask = np.zeros((size, size), bool)
-    mask[y : y + height, x : x + width] = True
-    return mask
-
-
-def _aspect(rng: np.random.Generator) -> np.ndarray:
-    stretch = rng.uniform(0.85, 1.15)
-    return np.array([stretch, 1 / stretch])
-
-
-HOLES: Mapping[str, Callable[[int, np.random.Generator], np.ndarray]] = {
-    "rectangles": lambda size, rng: random_masks(1, size, rng, {"rectangles": 1.0})[0],
-    "strokes": lambda size, rng: random_masks(1, size, rng, {"strokes": 1.0})[0],
-    "large": large,
-}
-
-
 def name_priors(folders: Sequence[Path]) -> dict[str, Artifact[DiffusionPrior]]:
     """The first is ours, the others have their folders' names."""
     names = ["ours", *(folder.resolve().name for folder in folders[1:])]
     if len(set(names)) < len(names):
         sys.exit(f"priors are called {', '.join(names)}; give folders of different names")
     return {n: load_artifact(f, "diffusion-prior@1", DiffusionPrior) for n, f in zip(names, folders, strict=True)}
-
-
-def sample_by(prior: InpaintingPrior, steps: int) -> Fill:
-    """Samples of a prior, at its own size."""
-
-    def sample(image: Tensor, hole: Tensor) -> Tensor:
-        generator = torch.Generator().manual_seed(SEED)
-        parts = zip(image.split(BATCH), hole.split(BATCH), strict=True)
-        return torch.cat([inpaint(prior, x, m, steps=steps, generator=generator) for x, m in parts])
-
-    def resized(image: Tensor, hole: Tensor) -> Tensor:
-        if image.shape[-1] == prior.size:
-            return sample(image, hole)
-        size = (prior.size, prior.size)
-        # A cell that the hole touches is the hole's: it is an average over pixels that nobody may see.
-        made = sample(F.interpolate(image, size, mode="area"), F.adaptive_max_pool2d(hole, size))
-        return torch.where(hole > 0, F.interpolate(made, image.shape[-2:], mode="bilinear"), image)
-
-    return resized
-
-
-def choose_fills(priors: Mapping[str, InpaintingPrior], steps: int) -> dict[str, Fill]:
-    return {
-        **{name: sample_by(prior, steps) for name, prior in priors.items()},
-        "mean": mean_fill,
-        "telea": fill_batch_telea,
-        "navier_stokes": each(lambda picture, hole: cv2.inpaint(picture, hole, 3, cv2.INPAINT_NS)),
-        "patch": each(shift_map),
-    }
-
-
-def mean_fill(image: Tensor, hole: Tensor) -> Tensor:
-    known = 1 - hole
-    mean = (image * known).sum(dim=(2, 3), keepdim=True) / known.sum(dim=(2, 3), keepdim=True)
-    return torch.where(hole > 0, mean, image)
-
-
-def each(fill: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Fill:
-    """A fill of 8-bit pictures [h, w, 3] under holes [h, w], 1 inside, as one of batches; known pixels are kept."""
-
-    def whole(image: Tensor, hole: Tensor) -> Tensor:
-        filled = [fill(to_bytes(p), h[0].byte().numpy()) for p, h in zip(image, hole, strict=True)]
-        pictures = torch.from_numpy(np.stack(filled)).permute(0, 3, 1, 2).float() / 127.5 - 1
-        return torch.where(hole > 0, pictures, image)
-
-    return whole
-
-
-def shift_map(picture: np.ndarray, hole: np.ndarray) -> np.ndarray:
-    lab, filled = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab), np.zeros_like(picture)
-    # Its mask is that of the known pixels.
-    cv2.xphoto.inpaint(lab, (1 - hole) * 255, filled, cv2.xphoto.INPAINT_SHIFTMAP)
-    return cv2.cvtColor(filled, cv2.COLOR_Lab2RGB)
-
-
-def over_draws(figures: list[dict[str, float]]) -> dict[str, float]:
-    """Means over the draws, and KID's standard deviation between them (0 for one)."""
-    means = {name: round(statistics.fmean(f[name] for f in figures), 5) for name in figures[0]}
-    spread = statistics.stdev(f["kid_lite0"] for f in figures) if len(figures) > 1 else 0.0
-    return means | {"kid_lite0_spread": round(spread, 5)}
-
-
-class Judge:
-    """The truths, and what they look like to the networks that judge."""
-
-    def __init__(self, truth: Tensor) -> None:
-        self.truth, self.pictures = truth, unit(truth)
-        self.features = lite0_features(self.pictures)
-        self.network = lpips.load("vgg")
-
-    def figures(self, filled: Mapping[str, Tensor], hole: Tensor) -> dict[str, dict[str, float]]:
-        """LPIPS, KID and PSNR of each fill of all photos; a truth's features are taken once for all fills."""
-        pictures = {name: unit(fill) for name, fill in filled.items()}
-        distances = np.mean(
-            [
-                self.network.distances([of_fill[i] for of_fill in pictures.values()], truth)
-                for i, truth in enumerate(self.pictures)
-            ],
-            axis=0,
-        )
-        return {
-            name: {
-                "lpips": round(float(distance), 4),
-                "kid_lite0": round(kernel_distance(lite0_features(pictures[name]), self.features), 5),
-                "psnr": round(mean_psnr(hole_psnr(fill, self.truth, hole).tolist()) or math.nan, 2),
-            }
-            for (name, fill), distance in zip(filled.items(), distances, strict=True)
-        }
-
-
-def unit(pictures: Tensor) -> list[np.ndarray]:
-    """[b, 3, h, w] in [-1, 1] as pictures [h, w, 3] in [0, 1]."""
-    return list(((pictures + 1) / 2).permute(0, 2, 3, 1).numpy())
-
-
-def find_best(rows: dict[str, dict[str, float]]) -> list[str]:
-    """The figures at which no other fill is as good as ours."""
-    others = [row for name, row in rows.items() if name != "ours"]
-    lower = [name for name in ("lpips", "kid_lite0") if all(rows["ours"][name] < row[name] for row in others)]
-    return lower + [name for name in ("psnr",) if all(rows["ours"][name] > row[name] for row in others)]
 
 
 def grid(truth: Tensor, hole: Tensor, filled: dict[str, Tensor]) -> np.ndarray:

@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 import torch.nn.functional as F
-from benchmarks.prior.__main__ import Judge
+from benchmarks.prior.judge import Judge
 from benchmarks.provenance import REPOSITORY, commit
 
 from inpaint3d.contracts.models.artifacts import ImageCorpus, PriorSpec

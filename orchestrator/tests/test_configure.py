@@ -165,6 +165,29 @@ def test_what_does_not_act_beside_what_is_read_is_refused(toy):
         configured(toy, "join.steps=11")
 
 
+def test_what_does_not_act_under_another_parameter_s_value_is_refused(toy):
+    say_of(toy, "x-unless", steps={"start": "fresh"})
+    assert configured(toy, "join.steps=11").parameters["join"]["steps"] == 11
+    with pytest.raises(ConfigurationError, match=r"join\.steps changes nothing under join\.start=fresh"):
+        configured(toy, "join.start=fresh", "join.steps=11")
+
+
+def test_what_acts_under_some_values_of_another_parameter_is_refused_under_others(toy):
+    say_of(toy, "x-under", steps={"estimator.name": ["sds", "nfsd"]})
+    expected = r"join\.steps changes nothing: it counts under join\.estimator\.name=sds or join\.estimator\.name=nfsd"
+    with pytest.raises(ConfigurationError, match=expected):
+        configured(toy, "join.steps=11")
+    assert configured(toy, "join.estimator=sds", "join.steps=11").parameters["join"]["steps"] == 11
+
+
+def test_the_choice_to_read_a_port_to_which_nothing_is_wired_is_refused(toy):
+    say_of(toy, "x-with", start="initial-field")
+    assert configured(toy, "join.start=fresh").parameters["join"]["start"] == "fresh"
+    toy.path.write_text(toy.path.read_text().replace("initial-field: known.radiance-field", ""))
+    with pytest.raises(ConfigurationError, match=r"join\.start changes nothing where no initial-field is wired"):
+        configured(Pipeline(toy.path), "join.start=fresh")
+
+
 def test_what_acts_only_beside_what_is_not_read_is_refused(toy):
     say_of(toy, "x-with", steps="initial-field")
     assert configured(toy, "join.steps=11").parameters["join"]["steps"] == 11

@@ -8,7 +8,7 @@ from benchmarks.pages import fill_between
 from inpaint3d.contracts.models.artifacts import Capture
 from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES, UNREADABLE_SUFFIXES
 from inpaint3d.scene import plausibility
-from inpaint3d.scene.image_io import MAX_DECODED_BYTES
+from inpaint3d.scene.pixel_io import MAX_DECODED_BYTES
 from inpaint3d.stages.capture_ingest import config, video
 from inpaint3d.stages.capture_ingest.layouts import LAYOUTS
 from inpaint3d.stages.capture_ingest.lenses import FARTHEST_CENTRE, PARAMETERS, ROTATION_TOLERANCE, SUPPORTED

@@ -37,7 +37,8 @@ from inpaint3d.contracts.store.artifact import parse_manifest
 from inpaint3d.orchestrator.diffusers_pipeline import INDEX, read_kind
 from inpaint3d.scene.capture_io import load_points
 from inpaint3d.scene.icc import read_profile
-from inpaint3d.scene.image_io import read_image, read_mask, write_exr, write_png
+from inpaint3d.scene.image_io import read_image, read_mask, write_png
+from inpaint3d.scene.map_io import write_exr
 from tests.colour_profiles import DISPLAY_P3, SRGB_CURVE, matrix_profile
 from tests.conftest import REPOSITORY
 from tests.faults.results import conclude

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from inpaint3d.contracts.kit.shim import LAST_WORDS
+from inpaint3d.contracts.kit.process import LAST_WORDS
 from inpaint3d.orchestrator.emit.policy import find_unrestricted
 from inpaint3d.orchestrator.workflows import nodes_of
 

@@ -42,7 +42,7 @@ def repainted(store: Store, posed_digest: str, masks_digest: str) -> str:
 
 
 def steps_of(tiny: dict) -> dict:
-    """As many steps as the stage's own test takes: the pipeline has minutes of joint fitting, and none of the prior."""
+    """As many steps as the stage's own test takes: the pipeline's are minutes of joint fitting, none of the prior."""
     return {"steps": tiny["steps"]} if "steps" in tiny else {}
 
 

@@ -1,10 +1,13 @@
 """The presets `paper` and `spin-nerf` hold the numbers of the paper (docs/conformance.md, rows N, L and S)."""
 
+from collections.abc import Iterator
+
 import pytest
 
 from inpaint3d.contracts.errors import ConfigurationError
 from inpaint3d.contracts.models.pipeline import Pipeline, merge_parameters
 from inpaint3d.orchestrator.configure import Settings, configure
+from inpaint3d.orchestrator.parameter_schema import Place, parameter_schema
 from inpaint3d.orchestrator.parameters import combine_parameters, parse_overrides
 from tests.conftest import REPOSITORY
 
@@ -112,6 +115,100 @@ def test_a_parameter_of_the_sampler_that_a_field_does_not_have_is_refused():
             ConfigurationError, match=f"{name} changes nothing: it counts under {node}.sampler={sampler}"
         ):
             configure(PIPELINE, asked, {"capture"})
+
+
+SDS, SAMPLES = "estimator=sds", "method=prior-samples"
+
+
+@pytest.mark.parametrize(
+    ("node", "assignment", "idle", "acting"),
+    [
+        ("masked-reconstruction", "optimizer.proposal_anneal_steps=5", ["architecture.sampler=density-grid"], []),
+        ("nerf-pretraining", "loss_weights.interlevel=0.5", ["architecture.sampler=density-grid"], []),
+        ("nerf-pretraining", "line_of_sight_rays=8", ["loss_weights.line_of_sight=0"], []),
+        ("nerf-pretraining", "first_rays=64", ["ramp_steps=0"], []),
+        ("joint-optimization", "line_of_sight_rays=8", ["loss_weights.line_of_sight=0"], []),
+        ("joint-optimization", "depth_patches=2", ["loss_weights.depth=0"], []),
+        ("joint-optimization", "depth_patch_size=16", ["loss_weights.depth=0"], []),
+        ("joint-optimization", "estimator.span=0.5", ["estimator.weight=0"], []),
+        ("joint-optimization", "estimator.min_known=0.5", ["estimator.weight=0"], []),
+        ("joint-optimization", "estimator.centre_views=2", ["estimator.centre_steps=0"], []),
+        ("joint-optimization", "estimator.min_supporting_views=3", [SDS, "estimator.hole=as-masked"], [SDS]),
+        ("view-completion", "method.min_supporting_views=3", [SAMPLES, "method.hole=as-masked"], [SAMPLES]),
+        ("mask-authoring", "margin=0.3", ["refine=false"], []),
+        ("mask-authoring", "refine_rounds=2", ["refine=false"], []),
+        ("pose-estimation", "lens=RADIAL", ["cameras=known"], []),
+        ("pose-estimation", "min_registered=5", ["cameras=known"], []),
+        ("pose-estimation", "min_view_agreement=0.2", ["cameras=estimate"], []),
+        ("pose-estimation", "exhaustive_up_to=9", ["matching=sequential"], []),
+        ("pose-estimation", "overlap=9", ["matching=exhaustive"], ["matching=sequential"]),
+        ("pose-estimation", "keep_test_from=9", ["test_every=0"], []),
+        ("evaluation", "full_views=1", ["truth_views=0"], []),
+        ("capture-ingest", "video_frames=9", ["layout=photos"], ["layout=video"]),
+        ("capture-ingest", "spin_nerf_truth=9", ["layout=llff"], []),
+    ],
+)
+def test_what_another_parameter_leaves_without_effect_is_refused(node, assignment, idle, acting):
+    """idle, acting: settings beside which the parameter does nothing, and beside which it does something."""
+
+    def configure_with(others):
+        asked = parse_overrides(PIPELINE, [f"{node}.{words}" for words in (*others, assignment)])
+        return configure(PIPELINE, Settings("standard", asked), {"capture", "mask-request", "pretrained-prior"})
+
+    configure_with(acting)
+    with pytest.raises(ConfigurationError, match=f"{node}.{assignment.partition('=')[0]} changes nothing"):
+        configure_with(idle)
+
+
+def test_a_fresh_start_is_refused_where_there_is_nothing_else_to_start_from():
+    asked = Settings("standard", parse_overrides(PIPELINE, ["masked-reconstruction.start=fresh"]))
+    with pytest.raises(ConfigurationError, match=r"start changes nothing where no initial-field is wired"):
+        configure(PIPELINE, asked, {"capture"})
+
+
+@pytest.mark.parametrize(
+    ("assignments", "external"),
+    [
+        ([f"joint-optimization.{SDS}", "joint-optimization.estimator.prompt=a lawn"], "diffusers-pipeline"),
+        ([f"view-completion.{SAMPLES}", "view-completion.method.prompt=a lawn"], "diffusers-pipeline"),
+        (["diffusion-training.steps=9", "diffusion-training.corpus_share=0.2"], "image-corpus"),
+        (["diffusion-training.steps=9", "diffusion-training.fine_tuning_rate=0.0001"], "pretrained-prior"),
+    ],
+)
+def test_what_counts_for_an_external_alone_is_refused_without_it(assignments, external):
+    asked = Settings("standard", parse_overrides(PIPELINE, assignments), named=("diffusion-training",))
+    configure(PIPELINE, asked, {"capture", "pretrained-prior", external})
+    with pytest.raises(ConfigurationError, match=f"changes nothing where no {external} is read"):
+        configure(PIPELINE, asked, {"capture", "pretrained-prior"} - {external})
+
+
+def test_what_an_external_does_instead_is_refused_beside_it():
+    asked = Settings("standard", parse_overrides(PIPELINE, ["mask-authoring.grabcut_rounds=2"]))
+    configure(PIPELINE, asked, {"capture", "mask-request"})
+    with pytest.raises(ConfigurationError, match=r"mask-authoring\.grabcut_rounds changes nothing where segmenter"):
+        configure(PIPELINE, asked, {"capture", "mask-request", "segmenter"})
+
+
+def test_schemas_name_parameters_and_ports_that_there_are():
+    """A misspelt condition would never refuse anything, or fail where it is first looked up."""
+    for node in PIPELINE.order:
+        root = parameter_schema(PIPELINE, node)
+        ports = set(PIPELINE.stages[node].spec.inputs)
+        for place, group in _list_places(root):
+            said = place.written
+            assert {said[word] for word in ("x-with", "x-without") if word in said} <= ports, node
+            for path in [*said.get("x-under", {}), *said.get("x-unless", {})]:
+                here = group if path.split(".")[0] in group.properties else root
+                for name in path.split("."):
+                    here = here.properties[name]
+
+
+def _list_places(group: Place) -> Iterator[tuple[Place, Place]]:
+    """Every parameter below a group, with the group that it is of."""
+    for kind in [*group.kinds.values()] or [group]:
+        for place in kind.properties.values():
+            yield place, kind
+            yield from _list_places(place)
 
 
 @pytest.mark.parametrize("preset", PIPELINE.spec.spec.presets)

@@ -25,7 +25,7 @@ from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.manifest import MANIFEST, split_schema
 from inpaint3d.contracts.models.pipeline import Pipeline
 from inpaint3d.contracts.store import FolderStore
-from inpaint3d.scene.image_io import read_exr
+from inpaint3d.scene.map_io import read_exr
 from tests.conftest import REPOSITORY
 from tests.faults.forks import fork, wait_for
 from tests.stability.test_files import write_float

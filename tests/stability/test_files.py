@@ -13,7 +13,8 @@ from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.canonical import canonical_json
 from inpaint3d.scene.capture_io import load_points, write_points
 from inpaint3d.scene.finite import find_non_finite
-from inpaint3d.scene.image_io import read_image, read_mask, write_exr, write_png
+from inpaint3d.scene.image_io import read_image, read_mask, write_png
+from inpaint3d.scene.map_io import write_exr
 from inpaint3d.scene.synthetic import synthetic_scene
 from tests.stability.catalogue import hard_case
 

@@ -22,8 +22,9 @@ from inpaint3d.radiance.health import check_finite
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.curves import Curves
-from inpaint3d.stages.joint_optimization.loop import Problem, optimise
+from inpaint3d.stages.joint_optimization.loop import optimise
 from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.problem import Problem
 from inpaint3d.stages.joint_optimization.run import pose
 from tests.conftest import REPOSITORY
 from tests.room_artifacts import put_completed, put_masks, put_plan, put_posed, put_prior

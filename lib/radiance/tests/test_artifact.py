@@ -13,7 +13,8 @@ from inpaint3d.radiance.artifact import reduce_camera, stub_weights, write_curve
 from inpaint3d.radiance.fields import RadianceField
 from inpaint3d.radiance.io import load_field
 from inpaint3d.scene.cameras import Camera, look_at
-from inpaint3d.scene.image_io import read_exr, read_image
+from inpaint3d.scene.image_io import read_image
+from inpaint3d.scene.map_io import read_exr
 
 TINY = FieldSpec(
     grid=GridSpec(levels=3, coarsest=4, finest=32, log2_table=8, channels=2),

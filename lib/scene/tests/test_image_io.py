@@ -10,17 +10,16 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES, UNREADABLE_SUFFIXES
 from inpaint3d.scene.colour import from_bytes, srgb_from_linear
 from inpaint3d.scene.image_io import (
-    read_exr,
     read_header,
     read_image,
     read_mask,
     read_opaque,
     read_stored,
     turn_upright,
-    write_exr,
     write_mask,
     write_png,
 )
+from inpaint3d.scene.map_io import read_exr, write_exr
 
 IMAGE = np.random.default_rng(0).random((12, 20, 3)).astype(np.float32)
 

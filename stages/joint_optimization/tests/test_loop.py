@@ -23,8 +23,9 @@ from inpaint3d.stages.joint_optimization.centre_views import choose_centre_views
 from inpaint3d.stages.joint_optimization.config import Config
 from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide, Timesteps
-from inpaint3d.stages.joint_optimization.loop import Problem, optimise, trace_sparse_points
+from inpaint3d.stages.joint_optimization.loop import optimise
 from inpaint3d.stages.joint_optimization.parallel import Ranks
+from inpaint3d.stages.joint_optimization.problem import Problem, trace_sparse_points
 from inpaint3d.stages.joint_optimization.run import pose
 
 TINY = yaml.safe_load((Path(__file__).parent / "tiny.yaml").read_text())
@@ -79,6 +80,20 @@ def test_the_first_steps_only_reconstruct(posed: Make) -> None:
     assert [figures(problem, step) == {} for step in (0, 3, 4)] == [True, True, False]
     assert "distillation" not in problem.terms(3, Ranks())[0]
     assert figures(replace(problem, fresh=False), 0) != {}
+
+
+def test_rays_are_counted_as_they_are_drawn(posed: Make) -> None:
+    """Of the patches for depth smoothness too, which a weight of 0 leaves out (L6)."""
+    for weight in (1e-4, 0.0):
+        problem = posed(loss_weights={"depth": weight, "line_of_sight": 0.0})
+        batch = problem.bank.draw(
+            problem.config.rays,
+            patches=problem.patches,
+            patch_size=problem.config.depth_patch_size,
+            generator=torch.Generator().manual_seed(0),
+            sighted=0,
+        )
+        assert problem.count_rays(Ranks()) == len(batch.rays.origins)
 
 
 def test_the_weight_rises_from_the_start_of_distillation(posed: Make) -> None:

@@ -32,7 +32,7 @@ from inpaint3d.radiance.line_of_sight import SightLines
 from inpaint3d.radiance.sizing import field_spec
 from inpaint3d.radiance.training import Pixels
 from inpaint3d.scene.capture_io import load_points, load_posed, write_points, write_view
-from inpaint3d.scene.image_io import read_exr
+from inpaint3d.scene.map_io import read_exr
 from inpaint3d.scene.psnr import psnr
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 from inpaint3d.stages.nerf_pretraining.config import Config

@@ -31,7 +31,8 @@ from inpaint3d.contracts.store import FolderStore, Store
 from inpaint3d.radiance.artifact import stub_weights, write_curve
 from inpaint3d.radiance.artifact import write_view as radiance_view
 from inpaint3d.scene.capture_io import write_points, write_view
-from inpaint3d.scene.image_io import write_codes, write_mask, write_png
+from inpaint3d.scene.image_io import write_mask, write_png
+from inpaint3d.scene.map_io import write_codes
 from inpaint3d.scene.synthetic import SyntheticScene, synthetic_scene
 
 TINY = {"render_longest_side": 24, "grid": 64, "texture_size": 256, "triangles": 4000}

@@ -22,7 +22,8 @@ from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO, SOURCE_
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.store import Artifact, Store
 from inpaint3d.radiance.artifact import stub_weights, write_curve, write_view
-from inpaint3d.scene.image_io import read_codes, read_exr, read_image, write_mask, write_png
+from inpaint3d.scene.image_io import read_image, write_mask, write_png
+from inpaint3d.scene.map_io import read_codes, read_exr
 from inpaint3d.scene.synthetic import SyntheticScene
 from tests.room_artifacts import put_masks, put_plan, put_posed, put_prior
 

@@ -58,7 +58,7 @@ def configure(
     parameters = {node: combine_parameters(chosen, node, settings.preset, overrides) for node in chosen.order}
     pruned = prune(chosen, parameters, _list_wanted(chosen, settings), given)
     _refuse_overrides(pruned, overrides)
-    _refuse_unused(pruned.pipeline, parameters, given)
+    _refuse_unused(pruned, parameters, given)
     _refuse_options(pruned, options or {})
     return ConfiguredPipeline(
         pipeline=pruned.pipeline,
@@ -99,15 +99,20 @@ def _refuse_overrides(pruned: PrunedPipeline, overrides: Overrides) -> None:
             )
 
 
-def _refuse_unused(pipeline: Pipeline, parameters: Mapping[str, Parameters], given: Collection[str]) -> None:
-    for node in pipeline.order:
-        there = {
-            port: [r for r in references if not r.startswith("external.") or r.partition(".")[2] in given]
-            for port, references in pipeline.references(node).items()
-        }
-        read = {port: references for port, references in there.items() if references}
-        for problem in find_unused(parameter_schema(pipeline, node), parameters[node], read, node):
+def _refuse_unused(pruned: PrunedPipeline, parameters: Mapping[str, Parameters], given: Collection[str]) -> None:
+    for node in pruned.pipeline.order:
+        read, wired = (_list_there(pipeline, node, given) for pipeline in (pruned.pipeline, pruned.whole))
+        for problem in find_unused(parameter_schema(pruned.whole, node), parameters[node], read, wired, node):
             raise ConfigurationError(problem)
+
+
+def _list_there(pipeline: Pipeline, node: str, given: Collection[str]) -> dict[str, list[str]]:
+    """Port -> the references wired to it that there is something for."""
+    there = {
+        port: [r for r in references if not r.startswith("external.") or r.partition(".")[2] in given]
+        for port, references in pipeline.references(node).items()
+    }
+    return {port: references for port, references in there.items() if references}
 
 
 def _refuse_options(pruned: PrunedPipeline, options: Mapping[str, str]) -> None:

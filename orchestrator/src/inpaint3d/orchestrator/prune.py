@@ -158,7 +158,7 @@ def find_unread_ports(pipeline: Pipeline, node: str, parameters: Parameters, giv
     for name, place in parameter_schema(pipeline, node).properties.items():
         if place.reads is None:
             continue
-        value = _spell(parameters[name])
+        value = spell(parameters[name])
         asked = [entry.split("|") for entry in place.reads.get(value, [])]
         read = {_choose_first(ports, wired): ports for ports in asked}
         for port in sorted(_find_governed(pipeline, node, place, name) - set(read)):
@@ -168,8 +168,8 @@ def find_unread_ports(pipeline: Pipeline, node: str, parameters: Parameters, giv
     return found
 
 
-def _spell(value: Any) -> str:
-    """A parameter's value as a key of `x-reads`: text as it is, a group's kind, anything else as JSON."""
+def spell(value: Any) -> str:
+    """A parameter's value as a key of `x-reads`, and in words: text as it is, a group's kind, anything else as JSON."""
     told = cast(Parameters, value)[VARIANT] if isinstance(value, dict) else value
     return told if isinstance(told, str) else json.dumps(told)
 

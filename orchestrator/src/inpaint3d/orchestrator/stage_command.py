@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from inpaint3d.contracts.errors import ConfigurationError, InterruptedRun
 from inpaint3d.contracts.kit.confine import select_environment
-from inpaint3d.contracts.kit.shim import thread_environment
+from inpaint3d.contracts.kit.process import thread_environment
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.store import Store
 

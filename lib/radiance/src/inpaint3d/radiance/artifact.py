@@ -13,7 +13,8 @@ from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.models.artifacts import FieldSpec, FieldView
 from inpaint3d.radiance.architecture import parameter_shapes
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import write_exr, write_png
+from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.map_io import write_exr
 from inpaint3d.scene.normals import normals_of
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ gives them; what a parameter means stays here.
 from typing import Annotated
 
 from pydantic import Field
+from pydantic.config import JsonDict
 
 from inpaint3d.contracts.models.base import Closed, Positive
 
@@ -16,6 +17,8 @@ Warmup = Annotated[int, Field(ge=0, description="steps of linear warm-up; 100 in
 AnnealSteps = Annotated[
     int, Field(ge=0, description="steps over which the proposals of a fresh field come into force; 0: at once")
 ]
+WITH_PROPOSALS: JsonDict = {"x-under": {"architecture.sampler": "proposal"}}
+WITH_SPARSE_POINTS: JsonDict = {"x-unless": {"loss_weights.line_of_sight": 0}}
 
 
 class Optimizer(Closed):
@@ -33,7 +36,7 @@ class Optimizer(Closed):
         description="True: table entries that no ray met rest, their moments and decay too; paper: False",
     )
     near_gradient: bool = Field(default=False, description="False: gradients near cameras are turned down; paper: True")
-    proposal_anneal_steps: AnnealSteps = 0
+    proposal_anneal_steps: AnnealSteps = Field(default=0, json_schema_extra=WITH_PROPOSALS)
     rollbacks: Annotated[int, Field(ge=0)] = Field(
         default=1,
         description="how often a fit that meets numbers that are not finite goes back to its last checkpoint, "
@@ -45,7 +48,9 @@ class LossWeights(Closed):
     """Weights of the loss terms (L3); a term of weight 0 is not computed."""
 
     reconstruction: Positive = Field(default=1.0, description="colours of known pixels (L1)")
-    interlevel: Weight = Field(default=1.0, description="proposals against the field (L5)")
+    interlevel: Weight = Field(
+        default=1.0, description="proposals against the field (L5)", json_schema_extra=WITH_PROPOSALS
+    )
     distortion: Weight = Field(default=0.005, description="compactness along rays (L4)")
     line_of_sight: Weight = Field(
         default=0.1, description="clear air before sparse points, and light that stops there; 0 in the paper"

@@ -1,38 +1,39 @@
-"""Pictures, masks and float maps on disk, through OpenImageIO.
+"""Pictures and masks on disk.
 
 In memory: float32 [h, w, 3] in [0, 1], sRGB-encoded, upright. Masks: bool [h, w], True inside the hole.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 from numpy.typing import ArrayLike, NDArray
 
-from inpaint3d.contracts.errors import BadInputError, StorageError
-from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES as PICTURE_SUFFIXES
+from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.scene.colour import from_bytes, srgb_from_linear, to_bytes
 from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.scene.icc import ColourProfile, read_profile
+from inpaint3d.scene.pixel_io import (
+    Attribute,
+    is_linear,
+    open_picture,
+    read_attributes,
+    read_orientation,
+    read_pixels,
+    read_text,
+    write_pixels,
+)
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Decoded bytes of one picture: 89 megapixels of float colour, 358 of 8-bit. A small file can claim any size.
-MAX_DECODED_BYTES = 2**30
 ROWS_AT_ONCE = 256  # while colours are converted in float64
-MAX_CODE = 2**16 - 1
 MIDDLE = 127.5 / 255
 CMYK = ("CMYK", "YCCK")  # OpenImageIO's words for a JPEG of inks
 # Of linear light: a share of white that no exposure leaves, and what even the brightest pixel exceeds.
 MAX_WHITE, MIN_LIGHT = 0.5, 1e-3
-# Time stamps and host names would make equal pictures differ.
-_UNSTABLE = ("DateTime", "Software", "HostComputer", "Exif:ImageHistory")
-
-
-Attribute = int | float | str | tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -59,21 +60,21 @@ class Header:
 
 def read_header(path: Path) -> Header:
     """Size, depth and EXIF; BadInputError for a file that is no picture."""
-    spec = _open(path).spec()
+    spec = open_picture(path).spec()
     pixel = oiio.TypeDesc(spec.format)
     profile = _profile(spec, path)
-    inks = _read_text(spec, "jpeg:ColorSpace") in CMYK
+    inks = read_text(spec, "jpeg:ColorSpace") in CMYK
     return Header(
         width=spec.width,
         height=spec.height,
         channels=spec.nchannels,
         bits=8 * pixel.basesize(),
         is_float=pixel.basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE),
-        orientation=_read_orientation(spec),
+        orientation=read_orientation(spec),
         format=str(spec.get_string_attribute("oiio:SourceFileFormat", "")),
-        exif=_read_attributes(spec),
+        exif=read_attributes(spec),
         profile=profile,
-        is_srgb=profile is None and not inks and not _is_linear(spec),
+        is_srgb=profile is None and not inks and not is_linear(spec),
     )
 
 
@@ -94,11 +95,11 @@ def read_stored(path: Path) -> Image | NDArray[np.uint8]:
 
     `colour.from_bytes` makes of the codes what `read_image` gives, to the bit.
     """
-    buffer = _open(path)
-    linear = _is_linear(buffer.spec())  # before reading, which changes the buffer's format
+    buffer = open_picture(path)
+    linear = is_linear(buffer.spec())  # before reading, which changes the buffer's format
     profile = None if linear else _profile(buffer.spec(), path)
     eight_bits = buffer.spec().format == oiio.TypeUInt8 and not linear
-    pixels = _read_all(buffer, path, "uint8" if eight_bits else "float")
+    pixels = read_pixels(buffer, path, "uint8" if eight_bits else "float")
     if profile is not None:
         pixels = _convert_to_srgb(profile, pixels)
     colour = pixels[..., :3] if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, 2)
@@ -124,9 +125,9 @@ def _check_units(light: NDArray[Any], path: Path) -> None:
 
 def read_opaque(path: Path) -> Mask | None:
     """Where a picture with an alpha channel is opaque by more than half, bool [h, w], upright; None without one."""
-    buffer = _open(path)
+    buffer = open_picture(path)
     alpha = buffer.spec().alpha_channel
-    return None if alpha < 0 else _read_all(buffer, path)[..., alpha] > MIDDLE
+    return None if alpha < 0 else read_pixels(buffer, path)[..., alpha] > MIDDLE
 
 
 def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
@@ -135,9 +136,9 @@ def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:
     `size` = (width, height) checks the shape. BadInputError where a value is not finite, and where nothing but a few
     dark codes is set: which of them mean the inside cannot be told.
     """
-    buffer = _open(path)
+    buffer = open_picture(path)
     step = _find_code_step(buffer.spec())  # before reading, which changes the buffer's format
-    pixels = _read_all(buffer, path)
+    pixels = read_pixels(buffer, path)
     # Transparent cut-outs (white everywhere, shape in alpha) are masks too.
     grey = pixels[..., :3].max(-1)
     if pixels.shape[2] in (2, 4) and np.ptp(grey) == 0:
@@ -183,106 +184,12 @@ def write_png(path: Path, image: ArrayLike) -> None:
     spec.attribute("png:compressionLevel", 4)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
-    _write(path, spec, pixels)
-
-
-def write_codes(path: Path, codes: ArrayLike) -> None:
-    """Write whole numbers [h, w] in [0, 65535] as a 16-bit PNG; ValueError for others."""
-    codes = np.asarray(codes)
-    if codes.min(initial=0) < 0 or codes.max(initial=0) > MAX_CODE:
-        raise ValueError(f"{path}: codes from {codes.min()} to {codes.max()} do not fit into 16 bits")
-    height, width = codes.shape
-    spec = oiio.ImageSpec(width, height, 1, oiio.UINT16)
-    spec.attribute("png:compressionLevel", 4)
-    _write(path, spec, codes.astype(np.uint16)[..., None])
-
-
-def read_codes(path: Path) -> NDArray[np.uint16]:
-    """Whole numbers [h, w] as `write_codes` wrote them; BadInputError for a file that is damaged."""
-    return _read_all(_open(path), path, "uint16")[..., 0]
+    write_pixels(path, spec, pixels)
 
 
 def write_mask(path: Path, mask: ArrayLike) -> None:
     """Write bool [h, w] as an 8-bit PNG: 255 inside, 0 outside."""
     write_png(path, np.where(np.asarray(mask, bool), np.uint8(255), np.uint8(0)))
-
-
-def read_exr(path: Path) -> dict[str, NDArray[np.float32]]:
-    """Every channel of an EXR by name, float32 [h, w] each. BadInputError where one holds what is not finite."""
-    buffer = _open(path)
-    names = buffer.spec().channelnames
-    pixels = _read_all(buffer, path)
-    channels = {str(name): np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
-    if strange := find_non_finite(channels):
-        told = ", ".join(map(str, strange))
-        raise BadInputError(f"{path} holds numbers that are not finite: {told}; run the stage that wrote it again")
-    return channels
-
-
-def write_exr(path: Path, channels: dict[str, ArrayLike], *, half: bool = False) -> None:
-    """Write named [h, w] channels as one EXR, float32 or half; not-finite values are refused (ValueError)."""
-    if not channels:
-        raise ValueError(f"{path}: no channels to write")
-    pixels = np.stack([np.asarray(c, np.float32) for c in channels.values()], -1)
-    if not np.isfinite(pixels).all():
-        raise ValueError(f"{path}: {int((~np.isfinite(pixels)).sum())} values are not finite")
-    height, width, count = pixels.shape
-    spec = oiio.ImageSpec(width, height, count, oiio.HALF if half else oiio.FLOAT)
-    spec.channelnames = tuple(channels)
-    spec.attribute("compression", "zip")
-    _write(path, spec, pixels)
-
-
-def _open(path: Path) -> oiio.ImageBuf:
-    if not path.is_file():
-        raise BadInputError(f"{path} does not exist; check the capture's folder")
-    hint = oiio.ImageSpec()
-    hint.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
-    buffer = oiio.ImageBuf(str(path), 0, 0, hint)
-    if buffer.has_error or not buffer.initialized:
-        raise BadInputError(f"{path} is not a picture that can be read ({_explain(buffer)}); replace or remove it")
-    _check_size(buffer.spec(), path)
-    return buffer
-
-
-def _read_orientation(spec: oiio.ImageSpec) -> int:
-    """EXIF orientation; 0 and what is beyond 8 say nothing, and are written all the same."""
-    said = int(spec.get_int_attribute("Orientation", 1))
-    return said if 1 <= said <= 8 else 1
-
-
-def _read_attributes(spec: oiio.ImageSpec) -> dict[str, Attribute]:
-    """What a file says of its picture, but for texts that are not UTF-8: older cameras write their makers' so."""
-    found: dict[str, Attribute] = {}
-    for attribute in spec.extra_attribs:
-        try:
-            name, value = attribute.name, attribute.value
-        except UnicodeDecodeError:
-            continue
-        if isinstance(value, (int, float, str)):
-            found[name] = value
-        elif isinstance(value, tuple) and all(isinstance(part, (int, float)) for part in value):
-            found[name] = tuple(map(float, value))
-    return found
-
-
-def _read_text(spec: oiio.ImageSpec, name: str) -> str:
-    try:
-        return str(spec.get_string_attribute(name, ""))
-    except UnicodeDecodeError:
-        return ""
-
-
-def _check_size(spec: oiio.ImageSpec, path: Path) -> None:
-    """From the header alone: what a file claims is allocated before its first pixel is seen."""
-    width, height, depth, channels = spec.width, spec.height, spec.depth, spec.nchannels
-    if min(width, height, channels) < 1 or depth > 1 or spec.deep:
-        raise BadInputError(f"{path} is {width}x{height}x{depth} with {channels} channels, no flat picture; remove it")
-    if (size := width * height * channels * (1 if spec.format == oiio.TypeUInt8 else 4)) > MAX_DECODED_BYTES:
-        raise BadInputError(
-            f"{path} says that it is {width}x{height} with {channels} channels, {size // 2**20} MiB decoded, "
-            f"more than {MAX_DECODED_BYTES // 2**20}; make it smaller, or remove it"
-        )
 
 
 def _find_code_step(spec: oiio.ImageSpec) -> float | None:
@@ -313,55 +220,3 @@ def _convert_to_srgb(profile: ColourProfile, pixels: NDArray[Any]) -> NDArray[An
         colours = profile.srgb(from_bytes(rows) if whole else rows)
         result[top : top + ROWS_AT_ONCE] = to_bytes(colours) if whole else colours
     return result
-
-
-def _read_all(buffer: oiio.ImageBuf, path: Path, kind: Literal["float", "uint8", "uint16"] = "float") -> NDArray[Any]:
-    """All channels [h, w, c], float32 or whole numbers, upright; BadInputError where the file is damaged."""
-    if buffer.spec().get_string_attribute("oiio:SourceFileFormat", "") == "jpeg" and _cut_short(path):
-        raise BadInputError(f"{path} is cut short (no end-of-image marker); copy it again or remove it")
-    if not buffer.read(force=True, convert=kind) or buffer.has_error:
-        raise BadInputError(f"{path} is damaged ({_explain(buffer)}); copy it again or remove it")
-    upright = buffer if _read_orientation(buffer.spec()) == 1 else oiio.ImageBufAlgo.reorient(buffer)
-    # Where a buffer could not be turned, asking for its pixels trips an assertion of OpenImageIO.
-    pixels = upright.get_pixels(kind) if upright.initialized and not upright.has_error else None
-    if pixels is None:
-        raise BadInputError(f"{path} is damaged ({_explain(upright)}); copy it again or remove it")
-    return pixels.reshape(upright.spec().height, upright.spec().width, -1)
-
-
-def _cut_short(path: Path) -> bool:
-    """Whether a JPEG ends before its picture does; decoders pad with grey and don't say so.
-
-    0xFF inside the picture's data is always followed by 0x00, so that FF D9 after the last scan's start is the end.
-    """
-    data = path.read_bytes()
-    return data.find(b"\xff\xd9", max(data.rfind(b"\xff\xda"), 0)) < 0
-
-
-def _is_linear(spec: oiio.ImageSpec) -> bool:
-    space = _read_text(spec, "oiio:ColorSpace").lower()
-    if space:
-        return space.startswith(("lin", "scene_linear", "acescg"))
-    return oiio.TypeDesc(spec.format).basetype in (oiio.BASETYPE.HALF, oiio.BASETYPE.FLOAT, oiio.BASETYPE.DOUBLE)
-
-
-def _explain(buffer: oiio.ImageBuf) -> str:
-    try:
-        text = buffer.geterror().strip().splitlines()
-    except UnicodeDecodeError:  # it quotes the file's bytes
-        return "damaged header"
-    return text[0] if text else "unknown format"
-
-
-def _write(path: Path, spec: oiio.ImageSpec, pixels: NDArray[np.generic]) -> None:
-    for name in _UNSTABLE:
-        spec.erase_attribute(name)
-    spec.attribute("DateTime", "1970:01:01 00:00:00")  # EXR stamps the clock where there is none
-    path.parent.mkdir(parents=True, exist_ok=True)
-    output = oiio.ImageOutput.create(str(path))
-    if output is None:
-        raise StorageError(f"cannot write {path}: {oiio.geterror()}")
-    written = output.open(str(path), spec) and output.write_image(np.ascontiguousarray(pixels))
-    closed = output.close()
-    if not (written and closed):
-        raise StorageError(f"cannot write {path}: {output.geterror()}; check free space and permissions")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.errors import BadInputError
-from inpaint3d.scene.image_io import PICTURE_SUFFIXES
+from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES
 
 COLUMNS = 19
 

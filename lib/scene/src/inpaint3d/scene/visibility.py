@@ -11,7 +11,8 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import RadianceFieldArtifact
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import Mask, read_exr
+from inpaint3d.scene.image_io import Mask
+from inpaint3d.scene.map_io import read_exr
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.morphology import grow
 

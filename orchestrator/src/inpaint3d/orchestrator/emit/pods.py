@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from inpaint3d.contracts.kit.shim import LAST_WORDS
+from inpaint3d.contracts.kit.process import LAST_WORDS
 from inpaint3d.contracts.models.cluster import ClusterSpec, Submission
 from inpaint3d.contracts.models.stage import StageSpec, count_cpus
 

@@ -26,7 +26,7 @@ from inpaint3d.contracts.errors import ConfigurationError, Inpaint3dError, Retry
 from inpaint3d.contracts.kit.code import IMAGE_DIGEST
 from inpaint3d.contracts.kit.confine import die_with_parent
 from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
-from inpaint3d.contracts.kit.shim import GRACE_S
+from inpaint3d.contracts.kit.process import GRACE_S
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.canonical import digest_of
 from inpaint3d.contracts.models.cluster import Image

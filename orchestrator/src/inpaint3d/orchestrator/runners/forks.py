@@ -16,7 +16,7 @@ from typing import IO, Protocol, Self
 
 from inpaint3d.contracts.kit.confine import select_environment
 from inpaint3d.contracts.kit.fork_server import LARGEST, Request
-from inpaint3d.contracts.kit.shim import thread_environment
+from inpaint3d.contracts.kit.process import thread_environment
 
 PRELOADED = (
     "inpaint3d.contracts.kit.shim",

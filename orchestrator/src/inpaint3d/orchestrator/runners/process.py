@@ -12,7 +12,7 @@ from typing import Any, Protocol, TextIO
 
 from inpaint3d.contracts.kit.confine import select_environment
 from inpaint3d.contracts.kit.invocation import Invocation
-from inpaint3d.contracts.kit.shim import GRACE_S
+from inpaint3d.contracts.kit.process import GRACE_S
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.stage import StageSpec
 from inpaint3d.contracts.store import Store

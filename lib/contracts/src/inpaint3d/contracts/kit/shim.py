@@ -8,16 +8,14 @@ goes to standard error.
 """
 
 import argparse
-import contextlib
 import datetime
 import importlib
 import json
 import os
 import signal
 import sys
-import threading
 import traceback
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
@@ -27,7 +25,6 @@ from inpaint3d.contracts.errors import (
     ConfigurationError,
     DoubtfulError,
     Inpaint3dError,
-    InterruptedRun,
     find_os_error,
     from_os_error,
 )
@@ -37,6 +34,13 @@ from inpaint3d.contracts.kit.confine import confine, die_with_parent
 from inpaint3d.contracts.kit.context import Context, Emit, Inputs, Outputs
 from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.kit.keys import key_components, run_key
+from inpaint3d.contracts.kit.process import (
+    announce_threads,
+    leave_at_once,
+    leave_last_words,
+    open_events,
+    stop_on_signals,
+)
 from inpaint3d.contracts.kit.provenance import describe_provenance
 from inpaint3d.contracts.models.base import Digest
 from inpaint3d.contracts.models.manifest import Manifest, first_error
@@ -46,10 +50,6 @@ from inpaint3d.contracts.store import Record, Store, open_store
 T = TypeVar("T")
 
 STAGE_YAML = "INPAINT3D_STAGE_YAML"
-LAST_WORDS = "INPAINT3D_LAST_WORDS"
-"""A file to leave the error in that a stage ends with: of a pod, what its cluster shows beside the exit code."""
-LONGEST_WORDS = 4096  # bytes that Kubernetes keeps
-GRACE_S = 10.0
 
 
 def main() -> None:
@@ -75,13 +75,9 @@ def serve(module: str) -> None:
         sys.stdout.write(stage_spec(module).model_dump_json(by_alias=True, indent=2) + "\n")
         return
     # The first process of a container is deaf to what it has no handler for, and imports take seconds.
-    signal.signal(signal.SIGTERM, _leave_at_once)
-    with _open_events() as events:
+    signal.signal(signal.SIGTERM, leave_at_once)
+    with open_events() as events:
         sys.exit(_run_guarded(module, options.store, options.invocation, options.outputs, events))
-
-
-def _leave_at_once(_number: int, _frame: object) -> None:
-    sys.exit(InterruptedRun.exit_code)
 
 
 def prepare() -> None:
@@ -150,7 +146,7 @@ def _run(
         ctx = Context(seed=invocation.seed, device=invocation.device, threads=invocation.threads, work=work, emit=emit)
         inputs, outputs = Inputs(store, spec, invocation.inputs), Outputs(store, spec)
         try:
-            with _stop_on_signals(ctx):
+            with stop_on_signals(ctx):
                 method(config, inputs, outputs, ctx)
                 return outputs.store_all(), ctx.timings()
         except Exception as error:
@@ -244,63 +240,8 @@ def _run_guarded(module: str, place: str, invocation_file: Path, outputs: Path |
     return failure.exit_code
 
 
-def leave_last_words(error: Inpaint3dError) -> None:
-    """Leave an error's message where who runs the container looks for it; nothing where that cannot be written."""
-    if place := os.environ.get(LAST_WORDS):
-        with contextlib.suppress(OSError):
-            Path(place).write_bytes(f"{error.kind}: {error}".encode()[:LONGEST_WORDS])
-
-
-def announce_threads(count: int) -> None:
-    """Tell native libraries, which read it when they are first imported, how many threads they may have."""
-    os.environ.update(thread_environment(count))
-    # Threads that wait by spinning take cores from whoever else needs them, themselves included.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
-
-def thread_environment(count: int) -> dict[str, str]:
-    """What native libraries read of how many threads they may have."""
-    return dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), str(count))
-
-
 def _write_outputs(folder: Path, spec: StageSpec, record: Record) -> None:
     """One file for each port; that of an optional output that there is not is empty."""
     folder.mkdir(parents=True, exist_ok=True)
     for port in spec.spec.outputs:
         (folder / port).write_text(record.outputs.get(port, ""))
-
-
-@contextlib.contextmanager
-def _open_events() -> Generator[TextIO]:
-    """The event stream on the real standard output; descriptor 1 goes to standard error for everybody else."""
-    descriptor = os.dup(1)
-    os.dup2(2, 1)
-    with os.fdopen(descriptor, "w") as events:
-        yield events
-
-
-@contextlib.contextmanager
-def _stop_on_signals(ctx: Context) -> Generator[None]:
-    """Turn SIGTERM and SIGINT into InterruptedRun at the next progress call; leave by force after a grace."""
-
-    def leave() -> None:
-        os._exit(143)
-
-    timer = threading.Timer(GRACE_S, leave)
-    timer.daemon = True
-
-    def stop(_signal: int, _frame: object) -> None:
-        if not ctx.stopping:
-            ctx.stopping = True
-            timer.start()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {s: signal.signal(s, stop) for s in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield
-    finally:
-        timer.cancel()
-        for number, handler in before.items():
-            signal.signal(number, handler)

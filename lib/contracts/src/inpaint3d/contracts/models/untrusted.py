@@ -1,7 +1,7 @@
 """Text that somebody else wrote: YAML and JSON read within bounds of size, depth and growth.
 
 What is wrong is one UntrustedError that says where and what; who reads the file says whose it is. Pictures are bounded
-where they are decoded (`inpaint3d.scene.image_io`), arrays by `read_safetensors_header`.
+where they are decoded (`inpaint3d.scene.pixel_io`), arrays by `read_safetensors_header`.
 """
 
 import json

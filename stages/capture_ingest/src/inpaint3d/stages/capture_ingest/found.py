@@ -10,8 +10,8 @@ from pathlib import Path, PurePath
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import KnownCamera
+from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES
 from inpaint3d.contracts.models.base import Pose
-from inpaint3d.scene.image_io import PICTURE_SUFFIXES
 
 
 @dataclass(frozen=True)

@@ -67,16 +67,24 @@ class Config(Closed):
         default=1, description="parts of a step, whose gradients are accumulated, or shared out over ranks"
     )
     learning_rate: Positive = Field(
-        default=8e-4, description="peak of Adam's rate from scratch; 1e-4 in the paper (D13)"
+        default=8e-4,
+        description="peak of Adam's rate from scratch; 1e-4 in the paper (D13)",
+        json_schema_extra={"x-without": "pretrained-prior"},
     )
-    fine_tuning_rate: Positive = Field(default=3e-4, description="peak of Adam's rate from a pretrained prior")
+    fine_tuning_rate: Positive = Field(
+        default=3e-4,
+        description="peak of Adam's rate from a pretrained prior",
+        json_schema_extra={"x-with": "pretrained-prior"},
+    )
     warm_up: Annotated[int, Field(ge=0)] = Field(default=20, description="steps of linear warm-up of the rate")
     ema: Share = Field(default=0.99, description="decay of the running average of weights; 0.9999 in the paper (D13)")
     t_range: tuple[Share, Share] = Field(
         default=(0.02, 1.0), description="noise levels learnt; (0, 1) in the paper (D10)"
     )
     crop_share: tuple[Share, Share] = Field(
-        default=(0.45, 1.0), description="side of the square crops, share of the frame's shorter side (D3)"
+        default=(0.45, 1.0),
+        description="side of the square crops, share of the frame's shorter side (D3)",
+        json_schema_extra={"x-unless": {"whole_share": 1}},
     )
     whole_share: Share = Field(
         default=0.0, description="share of crops that are the largest square of their frame instead (D3)"
@@ -85,7 +93,11 @@ class Config(Closed):
         default=1.0, description="by how much a crop may be enlarged; 1.5 in the paper, from 720 rows to 1080 (D2)"
     )
     masks: MaskMix = MaskMix()
-    corpus_share: Share = Field(default=0.5, description="share of crops from the image corpus, where one is wired")
+    corpus_share: Share = Field(
+        default=0.5,
+        description="share of crops from the image corpus, where one is wired",
+        json_schema_extra={"x-with": "image-corpus"},
+    )
     exam: Count = Field(default=24, description="held-out crops that the prior is judged on")
     sample_steps: Count = Field(
         default=3,

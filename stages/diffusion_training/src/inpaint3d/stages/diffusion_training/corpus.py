@@ -18,9 +18,10 @@ from typing import Literal
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.kit.commands import exit_on_error
 from inpaint3d.contracts.models.artifacts import ImageCorpus
+from inpaint3d.contracts.models.artifacts.capture import PICTURE_SUFFIXES
 from inpaint3d.contracts.models.canonical import canonical_json
 from inpaint3d.contracts.models.manifest import MANIFEST, build_manifest
-from inpaint3d.scene.image_io import PICTURE_SUFFIXES, read_image
+from inpaint3d.scene.image_io import read_image
 from inpaint3d.scene.realestate10k import camera_files, read_clips
 
 Split = Literal["train", "test"]

@@ -33,7 +33,9 @@ class Config(Closed):
         "are of the same crops at a quarter of the photos' size (1008 px)",
     )
     full_views: Annotated[int, Field(ge=0)] = Field(
-        default=3, description="truth views that are scored whole as well, spread evenly; 0: none"
+        default=3,
+        description="truth views that are scored whole as well, spread evenly; 0: none",
+        json_schema_extra={"x-unless": {"truth_views": 0}},
     )
     held_out_pixels: Annotated[int, Field(ge=0)] = Field(
         default=1024,

@@ -6,21 +6,33 @@ Row numbers (S6, L3, ...) are those of docs/conformance.md, which also says what
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from pydantic.config import JsonDict
 
 from inpaint3d.contracts.models.base import Closed, Positive
 from inpaint3d.radiance.architecture import Architecture
-from inpaint3d.radiance.fitting import AnnealSteps, LossWeights, Optimizer, Warmup, Weight
+from inpaint3d.radiance.fitting import (
+    WITH_PROPOSALS,
+    WITH_SPARSE_POINTS,
+    AnnealSteps,
+    LossWeights,
+    Optimizer,
+    Warmup,
+    Weight,
+)
 from inpaint3d.stages.joint_optimization.estimators import READS, AnyEstimator
 from inpaint3d.stages.joint_optimization.estimators.completed_views import CompletedViewsEstimator
 
 Count = Annotated[int, Field(ge=1)]
+WITH_DEPTH: JsonDict = {"x-unless": {"loss_weights.depth": 0}}
 
 
 class JointOptimizer(Optimizer):
     """How the field is moved; a field that comes with an initial field more carefully."""
 
     learning_rate_warmup: Warmup = 20
-    proposal_anneal_steps: AnnealSteps = Field(default=100, json_schema_extra={"x-without": "initial-field"})
+    proposal_anneal_steps: AnnealSteps = Field(
+        default=100, json_schema_extra={"x-without": "initial-field", **WITH_PROPOSALS}
+    )
     warm_start_lr_scale: Positive = Field(
         default=0.3,
         description="share of the learning rates that an initial field gets: at the full rate it forgets what it knows",
@@ -43,7 +55,7 @@ class Config(Closed):
     start: Literal["initial-field", "fresh"] = Field(
         default="initial-field",
         description="where the field starts: from the initial field, where one is wired, or from nothing (the paper)",
-        json_schema_extra={"x-reads": {"initial-field": ["initial-field"], "fresh": []}},
+        json_schema_extra={"x-reads": {"initial-field": ["initial-field"], "fresh": []}, "x-with": "initial-field"},
     )
     ranks: Count = Field(
         default=1,
@@ -55,9 +67,17 @@ class Config(Closed):
     architecture: Architecture = Field(default=Architecture(), json_schema_extra={"x-without": "initial-field"})
     optimizer: JointOptimizer = JointOptimizer()
     loss_weights: JointLossWeights = JointLossWeights()
-    line_of_sight_rays: Count = Field(default=32, description="rays a step to sparse points that no mask covers")
-    depth_patches: Count = Field(default=4, description="patches a step for depth smoothness (L6)")
-    depth_patch_size: Annotated[int, Field(ge=2)] = Field(default=8, description="their side, pixels; paper: 64 (L6)")
+    line_of_sight_rays: Count = Field(
+        default=32,
+        description="rays a step to sparse points that no mask covers",
+        json_schema_extra=WITH_SPARSE_POINTS,
+    )
+    depth_patches: Count = Field(
+        default=4, description="patches a step for depth smoothness (L6)", json_schema_extra=WITH_DEPTH
+    )
+    depth_patch_size: Annotated[int, Field(ge=2)] = Field(
+        default=8, description="their side, pixels; paper: 64 (L6)", json_schema_extra=WITH_DEPTH
+    )
     block: Count = Field(default=8192, description="rays rendered at once where there is no other limit (memory)")
     score_every: Count = Field(default=50, description="steps between points of the learning curve")
     score_pixels: Count = Field(default=1024, description="known pixels of each test view that a point is taken over")

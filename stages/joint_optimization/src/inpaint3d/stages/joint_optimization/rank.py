@@ -14,7 +14,8 @@ from inpaint3d.contracts.kit.commands import exit_on_error
 from inpaint3d.contracts.kit.context import Inputs
 from inpaint3d.contracts.kit.invocation import Invocation, load_invocation
 from inpaint3d.contracts.kit.keys import run_key
-from inpaint3d.contracts.kit.shim import announce_threads, components_of, config_of, serve, stage_spec
+from inpaint3d.contracts.kit.process import announce_threads
+from inpaint3d.contracts.kit.shim import components_of, config_of, serve, stage_spec
 from inpaint3d.contracts.store import Store, open_store
 
 MODULE = "inpaint3d.stages.joint_optimization"

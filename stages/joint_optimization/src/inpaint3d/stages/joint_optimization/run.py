@@ -21,8 +21,9 @@ from inpaint3d.stages.joint_optimization.curves import Curves
 from inpaint3d.stages.joint_optimization.decisions import decide
 from inpaint3d.stages.joint_optimization.estimators.base import Setting
 from inpaint3d.stages.joint_optimization.guidance import PriorGuide
-from inpaint3d.stages.joint_optimization.loop import Problem, optimise
+from inpaint3d.stages.joint_optimization.loop import optimise
 from inpaint3d.stages.joint_optimization.parallel import Ranks, start_ranks
+from inpaint3d.stages.joint_optimization.problem import Problem
 
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:

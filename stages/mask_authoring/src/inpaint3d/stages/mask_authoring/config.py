@@ -21,15 +21,20 @@ class Config(Closed):
     margin: Share = Field(
         default=0.15,
         description="how far beyond the carried object refinement looks, as a share of its size in the view",
+        json_schema_extra={"x-under": {"refine": True}},
     )
     segment_size: Annotated[int, Field(ge=16)] = Field(
         default=256, description="pixels; objects are segmented on pictures whose longest side is at most this"
     )
     grabcut_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
-        default=5, description="GrabCut iterations on the request's view"
+        default=5,
+        description="GrabCut iterations on the request's view",
+        json_schema_extra={"x-without": "segmenter"},
     )
     refine_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
-        default=3, description="GrabCut iterations on each view that the object is carried to"
+        default=3,
+        description="GrabCut iterations on each view that the object is carried to",
+        json_schema_extra={"x-under": {"refine": True}},
     )
     edge_rounds: Annotated[int, Field(ge=1, le=20)] = Field(
         default=2, description="GrabCut iterations along the outline, at the pictures' own size"

@@ -13,7 +13,8 @@ from inpaint3d.contracts.models.artifacts import PosedCapture, RadianceFieldArti
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View, load_posed
-from inpaint3d.scene.image_io import Image, read_exr
+from inpaint3d.scene.image_io import Image
+from inpaint3d.scene.map_io import read_exr
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from inpaint3d.contracts.models.base import Closed, Positive
 from inpaint3d.radiance.architecture import Architecture
-from inpaint3d.radiance.fitting import LossWeights, Optimizer
+from inpaint3d.radiance.fitting import WITH_SPARSE_POINTS, LossWeights, Optimizer
 
 Count = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, Field(ge=0)]
@@ -21,13 +21,19 @@ class Config(Closed):
     architecture: Architecture = Architecture()
     steps: Count = Field(default=800, description="optimisation steps; about 2200 in the paper (N7)")
     rays: Count = Field(default=512, description="random rays a step, over all views; 65536 in the paper (N8)")
-    first_rays: Count = Field(default=256, description="rays of the first step; they grow to `rays` over `ramp_steps`")
+    first_rays: Count = Field(
+        default=256,
+        description="rays of the first step; they grow to `rays` over `ramp_steps`",
+        json_schema_extra={"x-unless": {"ramp_steps": 0}},
+    )
     ramp_steps: Steps = Field(default=300, description="steps over which the rays of a step grow; paper: 0")
 
     optimizer: Optimizer = Optimizer()
     loss_weights: LossWeights = LossWeights()
     line_of_sight_rays: Count = Field(
-        default=32, description="rays a step to sparse points, as the training views saw them"
+        default=32,
+        description="rays a step to sparse points, as the training views saw them",
+        json_schema_extra=WITH_SPARSE_POINTS,
     )
 
     score_every: Count = Field(default=200, description="steps between points of the learning curve")

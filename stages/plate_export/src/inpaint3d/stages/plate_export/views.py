@@ -12,7 +12,8 @@ from inpaint3d.contracts.models.artifacts import Capture, CompletedViews, MaskSe
 from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.scene.capture_io import load_posed
-from inpaint3d.scene.image_io import Image, Mask, read_codes, read_exr, read_image, read_mask
+from inpaint3d.scene.image_io import Image, Mask, read_image, read_mask
+from inpaint3d.scene.map_io import read_codes, read_exr
 from inpaint3d.scene.morphology import grow
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.scene.visibility import enlarge_depth

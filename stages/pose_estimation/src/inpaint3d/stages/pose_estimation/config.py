@@ -3,10 +3,12 @@
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from pydantic.config import JsonDict
 
 from inpaint3d.contracts.models.base import Closed, Finite, Positive, Share
 
 Count = Annotated[int, Field(ge=1)]
+OF_ESTIMATES: JsonDict = {"x-unless": {"cameras": "known"}}
 
 
 class Marker(Closed):
@@ -38,7 +40,9 @@ class Config(Closed):
         default="auto", description="auto: cameras that came with every frame are kept, else they are estimated"
     )
     lens: Literal["auto", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"] = Field(
-        default="auto", description="camera model to estimate; auto: the simplest that the reprojection errors support"
+        default="auto",
+        description="camera model to estimate; auto: the simplest that the reprojection errors support",
+        json_schema_extra=OF_ESTIMATES,
     )
     force: dict[Literal["lens-distortion"], bool] = Field(
         default={}, description="lens-distortion switched on or off by hand; with `lens` at auto"
@@ -50,8 +54,16 @@ class Config(Closed):
     matching: Literal["auto", "exhaustive", "sequential"] = Field(
         default="auto", description="auto: sequential for ordered captures of more than `exhaustive_up_to` frames"
     )
-    exhaustive_up_to: Count = Field(default=25, description="frames; ordered captures up to this many match all pairs")
-    overlap: Count = Field(default=10, description="frames; how far ahead sequential matching looks")
+    exhaustive_up_to: Count = Field(
+        default=25,
+        description="frames; ordered captures up to this many match all pairs",
+        json_schema_extra={"x-under": {"matching": "auto"}},
+    )
+    overlap: Count = Field(
+        default=10,
+        description="frames; how far ahead sequential matching looks",
+        json_schema_extra={"x-unless": {"matching": "exhaustive"}},
+    )
     truth_partners: Count = Field(default=16, description="frames that each truth view is matched with, spread evenly")
     source_metres_per_unit: Positive | None = Field(
         default=None,
@@ -65,18 +77,30 @@ class Config(Closed):
     test_every: Annotated[int, Field(ge=0)] = Field(
         default=8, description="every so many frames one is held out, from the first; 0: none"
     )
-    keep_test_from: Count = Field(default=6, description="frames; captures of fewer hold none out")
-    min_registered_share: Share = Field(default=0.6, description="share of the frames that must be registered")
-    min_registered: Annotated[int, Field(ge=2)] = Field(default=3, description="frames that must be registered")
+    keep_test_from: Count = Field(
+        default=6,
+        description="frames; captures of fewer hold none out",
+        json_schema_extra={"x-unless": {"test_every": 0}},
+    )
+    min_registered_share: Share = Field(
+        default=0.6, description="share of the frames that must be registered", json_schema_extra=OF_ESTIMATES
+    )
+    min_registered: Annotated[int, Field(ge=2)] = Field(
+        default=3, description="frames that must be registered", json_schema_extra=OF_ESTIMATES
+    )
     min_angle_deg: Annotated[float, Field(ge=0)] = Field(
-        default=1.5, description="degrees; median triangulation angle below which depth cannot be told"
+        default=1.5,
+        description="degrees; median triangulation angle below which depth cannot be told",
+        json_schema_extra=OF_ESTIMATES,
     )
     min_points: Count = Field(default=20, description="sparse points that must be found")
     min_agreement: Share = Field(
         default=0.7, description="share of the verified matches that must agree with the cameras; 0: whatever they say"
     )
     min_view_agreement: Share = Field(
-        default=0.4, description="the same of each single view of cameras that came with the capture"
+        default=0.4,
+        description="the same of each single view of cameras that came with the capture",
+        json_schema_extra={"x-unless": {"min_agreement": 0, "cameras": "estimate"}},
     )
     largest_epipolar_px: Positive = Field(
         default=4.0,
@@ -92,4 +116,11 @@ class Config(Closed):
         if self.force and (self.lens != "auto" or self.cameras == "known"):
             what = f"lens={self.lens}" if self.lens != "auto" else "cameras=known"
             raise ValueError(f"lens-distortion is forced and {what} decides it too; leave one out")
+        return self
+
+    @model_validator(mode="after")
+    def _check_scale(self) -> "Config":
+        told = [name for name in ("source_metres_per_unit", "distance", "marker") if getattr(self, name) is not None]
+        if len(told) > 1:
+            raise ValueError(f"{' and '.join(told)} both tell the scale, of which one would count; leave one out")
         return self

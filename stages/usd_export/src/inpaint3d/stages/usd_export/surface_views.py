@@ -10,7 +10,8 @@ from inpaint3d.contracts.models.artifacts import FieldView, RadianceFieldArtifac
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.artifact import reduce_camera
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import Image, read_exr, read_image
+from inpaint3d.scene.image_io import Image, read_image
+from inpaint3d.scene.map_io import read_exr
 
 Render = Callable[[Camera], dict[str, NDArray[np.float32]]]
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from inpaint3d.contracts.models.artifacts import CompletedView, CompletedViews
-from inpaint3d.scene.image_io import write_codes, write_exr, write_png
+from inpaint3d.scene.image_io import write_png
+from inpaint3d.scene.map_io import write_codes, write_exr
 from inpaint3d.scene.source_maps import share_sources
 
 

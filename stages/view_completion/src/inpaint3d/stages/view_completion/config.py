@@ -40,13 +40,21 @@ class PriorSamples(Closed):
     name: Literal["prior-samples"] = "prior-samples"
     sample_steps: Count = Field(default=32, description="ancestral steps for each view; 1000 in the paper")
     guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null) (S5)")
-    prompt: str = Field(default="", description="what a diffusers pipeline that takes text is told of the picture")
+    prompt: str = Field(
+        default="",
+        description="what a diffusers pipeline that takes text is told of the picture",
+        json_schema_extra={"x-with": "diffusers-pipeline"},
+    )
     span: Share = Field(default=0.75, description="side of the window that is sampled, share of the short side (S1)")
     min_known: Share = Field(default=0.2, description="share of it that is known, where a view has such (S1)")
     hole: Literal["as-masked", "unseen"] = Field(
         default="unseen", description="what is filled: all that is masked, or what other views do not show"
     )
-    min_supporting_views: Count = Field(default=2, description="unseen: other views that must know a surface")
+    min_supporting_views: Count = Field(
+        default=2,
+        description="unseen: other views that must know a surface",
+        json_schema_extra={"x-under": {"hole": "unseen"}},
+    )
 
 
 READS: JsonDict = {

@@ -5,9 +5,10 @@ No tensor library is imported here: parameters are checked before anything start
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
+from pydantic.config import JsonDict
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.base import Closed, Finite, Positive, Share
@@ -32,6 +33,8 @@ Count = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, Field(ge=0)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PRIOR = "diffusers-pipeline|diffusion-prior"
+PULLING: JsonDict = {"x-unless": {"weight": 0}}
+"""Of what counts where a guide pulls; at a weight of 0 completed views are fitted ray by ray alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +91,32 @@ class Guided(Estimator):
 
     distill_every: Count = Field(default=2, description="steps from one window to the next; 1 in the paper")
     weight: Positive = Field(default=0.1, description="peak weight of the distillation term (S6)")
-    weight_warmup: Steps = Field(default=100, description="distillation steps over which the weight rises from 0 (S6)")
-    weight_decay_to: Share = Field(default=1.0, description="cosine decay to this share of the peak (S13)")
+    weight_warmup: Steps = Field(
+        default=100,
+        description="distillation steps over which the weight rises from 0 (S6)",
+        json_schema_extra=PULLING,
+    )
+    weight_decay_to: Share = Field(
+        default=1.0, description="cosine decay to this share of the peak (S13)", json_schema_extra=PULLING
+    )
     warmup_steps: Steps = Field(
         default=200,
         description="reconstruction-only steps at a fresh start; none with an initial field (S7)",
-        json_schema_extra={"x-without": "initial-field"},
+        json_schema_extra={"x-without": "initial-field", **PULLING},
     )
-    centre_steps: Steps = Field(default=50, description="distillation steps on the centre views only (S8)")
-    centre_views: Count = Field(default=3, description="how many views the centre phase uses (S8)")
-    min_known: Share = Field(default=0.2, description="share of a window that is known, where a view has such (S1)")
+    centre_steps: Steps = Field(
+        default=50, description="distillation steps on the centre views only (S8)", json_schema_extra=PULLING
+    )
+    centre_views: Count = Field(
+        default=3,
+        description="how many views the centre phase uses (S8)",
+        json_schema_extra={"x-unless": {"weight": 0, "centre_steps": 0}},
+    )
+    min_known: Share = Field(
+        default=0.2,
+        description="share of a window that is known, where a view has such (S1)",
+        json_schema_extra=PULLING,
+    )
 
     def timesteps_at(self, step: int, steps: int) -> TimestepRange | None:  # noqa: ARG002 - of those that noise
         """Where the diffusion time is drawn from at a step of `steps`; None where nothing is noised."""
@@ -133,7 +152,9 @@ class HoleFilling(Guided):
         "(needs an initial field)",
     )
     min_supporting_views: Count = Field(
-        default=2, description="unseen: other views that must know a masked surface for it to be left alone"
+        default=2,
+        description="unseen: other views that must know a masked surface for it to be left alone",
+        json_schema_extra={"x-with": "initial-field", "x-under": {"hole": "unseen"}},
     )
 
     def prepare(self, setting: Setting) -> Preparation:
@@ -178,7 +199,11 @@ class PriorEstimator(HoleFilling):
     reads: ClassVar[tuple[str, ...]] = (PRIOR,)
 
     guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)")
-    prompt: str = Field(default="", description="what a diffusers pipeline that takes text is told of the picture")
+    prompt: str = Field(
+        default="",
+        description="what a diffusers pipeline that takes text is told of the picture",
+        json_schema_extra={"x-with": "diffusers-pipeline"},
+    )
     t_max: Share = Field(default=0.95, description="largest diffusion time (S9)")
     t_min: Share = Field(
         default=0.95,
@@ -195,6 +220,19 @@ class PriorEstimator(HoleFilling):
         default=None,
         description="S of the schedules in t and specular colour; None: as many as done; 2200 in the paper",
     )
+
+    @model_validator(mode="after")
+    def _check_schedule(self) -> Self:
+        if self.t_max < self.t_min:
+            raise ValueError(
+                f"t_max {self.t_max} lies below t_min {self.t_min}, where times stop falling; lower t_min too"
+            )
+        if self.schedule_steps is not None and self.t_max == self.t_min and not self.diffuse_start:
+            raise ValueError(
+                f"schedule_steps changes nothing: t_min and t_max are both {self.t_max}, so that times do not fall, "
+                "and diffuse_start is off; lower t_min"
+            )
+        return self
 
     @property
     def diffuse_first(self) -> bool:

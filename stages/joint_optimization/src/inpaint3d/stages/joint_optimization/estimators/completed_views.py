@@ -7,7 +7,7 @@ from pydantic import Field
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.base import Share
-from inpaint3d.stages.joint_optimization.estimators.base import Count, Guided, Preparation, Setting, Weight
+from inpaint3d.stages.joint_optimization.estimators.base import PULLING, Count, Guided, Preparation, Setting, Weight
 
 if TYPE_CHECKING:
     from inpaint3d.contracts.models.artifacts import CompletedViews
@@ -26,17 +26,23 @@ class CompletedViewsEstimator(Guided):
 
     name: Literal["completed-views"] = "completed-views"
     weight: Weight = Field(default=0.6, description="peak weight of LPIPS in the hole; 0: rays alone")
-    distill_every: Count = Field(default=4, description="steps from one window to the next")
+    distill_every: Count = Field(default=4, description="steps from one window to the next", json_schema_extra=PULLING)
     filled_share: Share | None = Field(
         default=0.4,
         description="share of the rays of a step that are drawn from what was filled; None: as many as fall on it; "
         "0: LPIPS alone",
     )
     windows: Literal["random", "whole-hole"] = Field(
-        default="random", description="where LPIPS looks: anywhere on the hole, or in one window a view over most of it"
+        default="random",
+        description="where LPIPS looks: anywhere on the hole, or in one window a view over most of it",
+        json_schema_extra=PULLING,
     )
-    span: Share = Field(default=0.3, description="side of the windows, share of the short side: small, for detail")
-    patch_size: Count = Field(default=64, description="rays along the side of a window")
+    span: Share = Field(
+        default=0.3,
+        description="side of the windows, share of the short side: small, for detail",
+        json_schema_extra=PULLING,
+    )
+    patch_size: Count = Field(default=64, description="rays along the side of a window", json_schema_extra=PULLING)
 
     def label(self, *, continued: bool, completion: str | None) -> str:  # noqa: ARG002 - the pictures make the name
         if completion == "classical":
@@ -79,7 +85,8 @@ class CompletedViewsEstimator(Guided):
 def load_filled(completed: "Artifact[CompletedViews]", setting: Setting) -> "Filled":
     """The training views with their holes filled: `hole` is what was filled. BadInputError for another capture's."""
     from inpaint3d.radiance.line_of_sight import SightLines
-    from inpaint3d.scene.image_io import read_codes, read_exr, read_image
+    from inpaint3d.scene.image_io import read_image
+    from inpaint3d.scene.map_io import read_codes, read_exr
     from inpaint3d.scene.visibility import pool_any
     from inpaint3d.stages.joint_optimization.batch import Filled
 
