@@ -35,7 +35,8 @@ from inpaint3d.perception.lpips import load as load_lpips
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.scene.cameras import Camera
-from inpaint3d.scene.image_io import read_codes, read_image, read_mask, write_png
+from inpaint3d.scene.image_io import read_image, read_mask, write_png
+from inpaint3d.scene.map_io import read_codes
 from inpaint3d.scene.psnr import psnr
 from inpaint3d.stages.plate_export.lens import Box, PhotoCamera
 from inpaint3d.stages.plate_export.photos import sample_cubic

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError, WaitingError
-from inpaint3d.scene.image_io import read_mask, write_exr, write_mask
+from inpaint3d.scene.image_io import read_mask, write_mask
+from inpaint3d.scene.map_io import write_exr
 from inpaint3d.scene.synthetic import BALL_RADIUS, arc_cameras, synthetic_scene
 from inpaint3d.scene.volumes import sphere, volume_mask
 from inpaint3d.stages.mask_authoring.objects import check_room_around
