@@ -228,7 +228,7 @@ def even_out(
     return [_extend(spanned, labels == i) for i in range(len(colours))]
 
 
-def bend_between(bend: Colours, step: Colours, sure: Mask, one: Mask, other: Mask, towards: int, axis: int) -> None:
+def bend_between(bend: Floats, step: Colours, sure: Mask, one: Mask, other: Mask, towards: int, axis: int) -> None:
     """Add to `bend` [h, w, c] what makes the change step from cells of `one` to those of `other` beside them.
 
     As much on this side as is taken on that one: what is left over would glow far around.

@@ -55,8 +55,8 @@ class Relief:
 
     def _average(self, places: Array, values: Array, count: int) -> Array:
         """Mean [m] of the `values` [n] of the sparse points nearest to `places` [m, 3], nearer ones counting more."""
-        ranks = np.arange(1, min(count, len(self.points)) + 1)
-        apart, nearest = self._tree.query(places, ranks)
+        found = self._tree.query(places, min(count, len(self.points)))
+        apart, nearest = (np.asarray(one).reshape(len(places), -1) for one in found)
         weights = 1.01 - (apart / np.maximum(apart[:, -1:], np.finfo(np.float64).tiny)) ** 2
         return (weights * values[nearest]).sum(-1) / weights.sum(-1)
 
