@@ -36,7 +36,6 @@ from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import read_image, read_mask, write_png
-from inpaint3d.scene.map_io import read_codes
 from inpaint3d.scene.psnr import psnr
 from inpaint3d.stages.plate_export.lens import Box, PhotoCamera
 from inpaint3d.stages.plate_export.photos import sample_cubic
@@ -140,11 +139,11 @@ def paint_truth(run: Run, folder: Path, clean: Path) -> None:
     if not (clean / f"{by}.png").exists():
         raise SystemExit(f"{clean} has no {by}.png; render it: examples/demo/render.py --clean --only {by}")
     asked, mask = read_image(folder / "asked" / f"{by}.png"), read_mask(folder / "masks" / f"{by}.png")
-    codes = read_codes(clean / f"{by}.png")
-    camera = PhotoCamera.from_frame(frame, posed.metadata.lens, codes.shape[1], codes.shape[0])
+    shown = read_image(clean / f"{by}.png")
+    camera = PhotoCamera.from_frame(frame, posed.metadata.lens, shown.shape[1], shown.shape[0])
     canvas = camera.canvas
     rays = (canvas.pixel_centres() - (canvas.cx, canvas.cy)) / (canvas.fx, canvas.fy)
-    truth = sample_cubic(codes, camera.project(rays).reshape(-1, 2)).reshape(asked.shape)
+    truth = sample_cubic(shown, camera.project(rays).reshape(-1, 2)).reshape(asked.shape)
     write_png(folder / f"{by}.png", np.where(mask[..., None], truth, asked).clip(0, 1).astype(np.float32))
     print(f"painted {by} in {folder}")
 

@@ -1,5 +1,6 @@
 """How a hole is filled, decided on cells of a few pixels: depths, whose colours go where, and what evens them out."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -200,7 +201,8 @@ def even_out(
 
     Poisson image editing (Perez, Gangnet and Blake 2003, doi:10.1145/882262.882269) of all pieces at once, solved for
     the change instead of the colours: it is harmonic within a piece, is at the hole's edge what the piece misses of
-    the photo there, and steps between two pieces by what one misses of the other.
+    the photo there, and steps between two pieces by what one misses of the other. At an edge beyond which a piece shows
+    nothing to compare it stays as it is.
     """
     channels = own.shape[-1]
     held, rim = np.zeros(own.shape, np.float64), np.zeros(grid.hole.shape, bool)
@@ -209,22 +211,32 @@ def even_out(
     for one, (made, there) in enumerate(zip(colours, valid, strict=True)):
         if (near := _find_window(beside[one] & grid.known)) is not None:
             step, sure = _average_step((own[near] - made[near]), there[near] & grid.known[near])
-            edge = sure & grid.known[near] & beside[one][near]
-            held[near][edge], rim[near] = step[edge], rim[near] | edge
+            edge = grid.known[near] & beside[one][near]
+            told = edge & sure
+            held[near][told], rim[near] = step[told], rim[near] | edge
         for other in range(one + 1, len(colours)):
             if (near := _find_window(beside[one] & beside[other])) is None:
                 continue
             both = there[near] & valid[other][near] & grid.hole[near]
             step, sure = _average_step(made[near] - colours[other][near], both)
-            for a, b, sign in ((one, other, 1), (other, one, -1)):
-                for shift in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                    crosses = (labels[near] == a) & np.roll(labels[near] == b, shift, (0, 1)) & sure
-                    bend[near][crosses] += sign * step[crosses]
+            for axis, towards in itertools.product((0, 1), (1, -1)):
+                bend_between(bend[near], step, sure, labels[near] == one, labels[near] == other, towards, axis)
     spanned = np.stack(
         [span_membrane(held[..., c], rim, bend[..., c], rounds=RELAXATIONS) for c in range(channels)], -1
     ).astype(np.float32)
     # Beyond its part a piece is still seen a little, where it fades: its change goes on there.
     return [_extend(spanned, labels == i) for i in range(len(colours))]
+
+
+def bend_between(bend: Floats, step: Colours, sure: Mask, one: Mask, other: Mask, towards: int, axis: int) -> None:
+    """Add to `bend` [h, w, c] what makes the change step from cells of `one` to those of `other` beside them.
+
+    As much on this side as is taken on that one: what is left over would glow far around.
+    """
+    here = one & sure & np.roll(other & sure, -towards, axis)
+    mean = (step + np.roll(step, -towards, axis)) / 2
+    bend[here] += mean[here]
+    bend[np.roll(here, towards, axis)] -= mean[here]
 
 
 def _find_window(mask: Mask) -> tuple[slice, slice] | None:
