@@ -1,4 +1,5 @@
 import itertools
+import math
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from inpaint3d.diffusion.training import (
     load_checkpoint,
     rate_after_warm_up,
     save_checkpoint,
+    stand_in_for,
     step_generators,
     train_step,
 )
@@ -176,3 +178,30 @@ def test_the_learning_rate_rises_then_falls_to_its_share() -> None:
     assert max(rates) == pytest.approx(1e-3)
     assert rates[100] == pytest.approx(1e-4)
     assert all(late <= early for early, late in itertools.pairwise(rates[10:]))
+    assert rate_after_warm_up(1e-3, 150, 100, 10) == rates[100], "beyond the schedule it stays"
+    assert rate_after_warm_up(1e-3, 10, 10, 10) == 1e-3, "all of it warm-up: the peak"
+
+
+def test_a_row_of_the_curve_leaves_out_what_is_not_finite(shipped_like) -> None:
+    state = begin(shipped_like, seed=0)
+    state.pending = [1.0, math.inf, math.nan, 2.0]
+    state.close_row(0.5)
+    assert state.curve == [(0, 1.5, 0.5)]
+
+
+def test_a_picture_that_teaches_nothing_has_no_loss(shipped_like, picture, hole) -> None:
+    """And takes none from the other: the mean is over pictures."""
+    prior = begin(shipped_like, seed=0).prior
+    teach = torch.stack([torch.zeros_like(hole[0]), torch.ones_like(hole[1])])
+    hole = torch.maximum(hole, 1 - teach)
+    some = denoising_loss(prior, Batch(picture, hole, teach), step_generators(5, 0)[1])
+    none = denoising_loss(prior, Batch(picture, hole, torch.zeros_like(teach)), step_generators(5, 0)[1])
+    assert 0 < some < math.inf
+    assert none == 0
+
+
+def test_under_the_papers_condition_the_unseen_is_grey_and_the_rest_as_it_is(paper_like, shipped_like, hole) -> None:
+    fill = torch.full((2, 3, 16, 16), 0.3)
+    grey = stand_in_for(fill, hole, paper_like)
+    assert torch.equal(grey, 0.3 * (1 - hole).expand_as(fill))
+    assert torch.equal(stand_in_for(fill, hole, shipped_like), fill)

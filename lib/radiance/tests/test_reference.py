@@ -206,6 +206,36 @@ def test_adam_moves_by_at_most_its_rate_at_first(exponent: int) -> None:
     assert (x * gradient <= 0).all()
 
 
+def test_adam_leaves_alone_what_a_step_would_make_infinite() -> None:
+    """Its second moment is finite; the number itself would not be."""
+    param, grad = torch.tensor([3e38, 1.0]), torch.tensor([-1.0, -1.0])
+    m, v = torch.zeros(2), torch.zeros(2)
+    skipped = reference.adam_step(param, grad, m, v, AdamStep(step=1, lr=1e38, beta1=0.0, beta2=0.99, eps=1e-15))
+    assert int(skipped) == 1
+    assert param[0] == torch.tensor(3e38)
+    assert param[1] == torch.tensor(1e38)
+    assert m[0] == 0
+
+
+def test_an_interval_of_no_width_is_bounded_by_nothing() -> None:
+    """Where the other histogram has one of no width too, the difference of its sums is negative."""
+    other_ends, other = torch.tensor([[0.0, 0.5, 0.5, 1.0]]), torch.tensor([[0.2, 0.3, 0.5]])
+    assert reference.outer_measure(torch.tensor([[0.5, 0.5]]), other_ends, other).item() == 0.0
+
+
+def test_what_lies_on_the_cubes_far_side_is_in_its_last_cell() -> None:
+    density = torch.zeros(8)
+    cube = torch.tensor([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    reference.grid_learn(density, 2, cube, torch.tensor([7.0, 1.0, 2.0]), 0.9)
+    assert density.tolist() == [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 7.0]
+
+
+def test_no_point_has_no_feature_and_no_colour() -> None:
+    nothing = torch.zeros(0, 3)
+    assert reference.mlp(nothing, [torch.ones(4, 3), torch.ones(2, 4)], torch.zeros(0, 4)).shape == (0, 2)
+    assert [part.shape for part in reference.colours(nothing, None, torch.zeros(0, 6))] == [(0, 3), (0, 3)]
+
+
 def test_backends_are_chosen_by_name_or_device() -> None:
     assert backends.select("cpu", "reference") is reference
     assert backends.name_of(backends.select("cpu", "reference")) == "reference"
