@@ -1,6 +1,5 @@
 """How a hole is filled, decided on cells of a few pixels: depths, whose colours go where, and what evens them out."""
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -219,8 +218,7 @@ def even_out(
                 continue
             both = there[near] & valid[other][near] & grid.hole[near]
             step, sure = _average_step(made[near] - colours[other][near], both)
-            for axis, towards in itertools.product((0, 1), (1, -1)):
-                bend_between(bend[near], step, sure, labels[near] == one, labels[near] == other, towards, axis)
+            bend_between(bend[near], step, sure, labels[near] == one, labels[near] == other)
     spanned = np.stack(
         [span_membrane(held[..., c], rim, bend[..., c], rounds=RELAXATIONS) for c in range(channels)], -1
     ).astype(np.float32)
@@ -228,15 +226,17 @@ def even_out(
     return [_extend(spanned, labels == i) for i in range(len(colours))]
 
 
-def bend_between(bend: Floats, step: Colours, sure: Mask, one: Mask, other: Mask, towards: int, axis: int) -> None:
+def bend_between(bend: Floats, step: Colours, sure: Mask, one: Mask, other: Mask) -> None:
     """Add to `bend` [h, w, c] what makes the change step from cells of `one` to those of `other` beside them.
 
     As much on this side as is taken on that one: what is left over would glow far around.
     """
-    here = one & sure & np.roll(other & sure, -towards, axis)
-    mean = (step + np.roll(step, -towards, axis)) / 2
-    bend[here] += mean[here]
-    bend[np.roll(here, towards, axis)] -= mean[here]
+    along = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
+    for here, there in (pair[::way] for pair in along for way in (1, -1)):
+        meet = (one & sure)[here] & (other & sure)[there]
+        mean = (step[here] + step[there])[meet] / 2
+        bend[here][meet] += mean
+        bend[there][meet] -= mean
 
 
 def _find_window(mask: Mask) -> tuple[slice, slice] | None:
