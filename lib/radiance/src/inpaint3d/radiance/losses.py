@@ -71,9 +71,6 @@ def hash_decay(field: RadianceField) -> Float[Tensor, ""]:
 
     `optim.Adam` adds this term's gradient by itself: as a term of the loss it would cost a pass over all entries more.
     """
-    parts = [
-        network.table[level.offset : level.offset + level.size]
-        for network in field.hash_networks
-        for level in network.levels
-    ]
+    # Split, not sliced: one gradient of a table, not a table of zeros for each level.
+    parts = [part for net in field.hash_networks for part in net.table.split([level.size for level in net.levels])]
     return torch.stack([part.square().mean() for part in parts]).sum()
