@@ -1,41 +1,54 @@
 """A smooth surface over a gap in a map of numbers, spanned between what is known around it."""
 
-import cv2
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from inpaint3d.scene.image_io import Mask
 
-ROUNDS = 100
-"""Relaxations at each size: what a coarser size leaves is smooth, and these see to the rest."""
-NEIGHBOURS = np.array([[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]])
-
 
 def span_membrane(
-    values: NDArray[np.floating], known: Mask, bend: NDArray[np.floating] | None = None, *, rounds: int = ROUNDS
+    values: NDArray[np.floating],
+    known: Mask,
+    bend: NDArray[np.floating] | None = None,
+    *,
+    reach: float = math.inf,
 ) -> NDArray[np.float64]:
-    """`values` [h, w] with each unknown cell at the mean of its four neighbours, `known` cells as they are.
+    """`values` [h, w] or [h, w, c] with each unknown cell at the mean of its neighbours, `known` cells as they are.
 
-    The discrete Laplace equation, relaxed from coarse to fine; the border of the map goes on outside. Linear values
-    stay linear. 0 everywhere where nothing is known. bend [h, w]: Poisson's equation instead, by how much the four
-    neighbours of an unknown cell exceed it in sum. rounds: relaxations at each size.
+    The discrete Laplace equation, solved by a sparse factorisation (SuperLU); a cell at the border of the map has no
+    neighbour outside. 0 everywhere where nothing is known. bend, shaped as values: Poisson's equation instead, by how
+    much the neighbours of an unknown cell exceed it in sum. reach, cells: what the known cells and the bend impose
+    falls off by a factor of e over so many, towards 0 (the screened equation).
     """
-    held = np.where(known, values, 0.0)
-    if known.all() or not known.any():
-        return held
-    bend = np.zeros_like(held) if bend is None else np.where(known, 0.0, bend)
-    height, width = known.shape
-    made = np.full_like(held, held[known].mean())
-    if max(height, width) > 2:
-        size = ((width + 1) // 2, (height + 1) // 2)
-        share = cv2.resize(known.astype(np.float64), size, interpolation=cv2.INTER_AREA)
-        mean = cv2.resize(held, size, interpolation=cv2.INTER_AREA) / np.maximum(share, 1e-9)
-        # A cell of four has twice the side: differences of second order grow by four.
-        coarse_bend = 4 * cv2.resize(bend, size, interpolation=cv2.INTER_AREA)
-        coarse = span_membrane(mean, share > 0, coarse_bend, rounds=rounds)
-        made = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-    made = np.where(known, held, made)
-    for _ in range(rounds):
-        around = cv2.filter2D(made, -1, NEIGHBOURS, borderType=cv2.BORDER_REPLICATE)
-        made = np.where(known, held, around - bend / 4)
-    return made
+    held = np.where(known[..., None], values.reshape(*known.shape, -1), 0.0)
+    if not known.all() and known.any():
+        asked = np.zeros_like(held) if bend is None else -bend.reshape(held.shape).astype(np.float64)
+        matrix = _sum_differences(known, held, asked, reach**-2)
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        held[~known] = factors.solve(asked[~known])
+    return held.reshape(values.shape)
+
+
+def _sum_differences(
+    known: Mask, held: NDArray[np.float64], asked: NDArray[np.float64], pull: float
+) -> sparse.csc_array:
+    """What takes the unknown cells [n] to the sums of their differences to all neighbours and of their own `pull` to 0,
+    less what `held` gives to these sums, which is added to `asked` [h, w, c].
+    """
+    count = int((~known).sum())
+    number = np.full(known.shape, -1)
+    number[~known] = np.arange(count)
+    degree, links = np.full(known.shape, pull), []
+    along = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
+    for here, there in (pair[::way] for pair in along for way in (1, -1)):
+        degree[here] += 1
+        asked[here] += held[there]
+        both = ~known[here] & ~known[there]
+        links.append(np.stack([number[here][both], number[there][both]]))
+    rows, columns = np.concatenate([*links, np.tile(np.arange(count), (2, 1))], 1)
+    entries = np.concatenate([np.full(len(rows) - count, -1.0), degree[~known]])
+    return sparse.csc_array((entries, (rows, columns)), shape=(count, count))

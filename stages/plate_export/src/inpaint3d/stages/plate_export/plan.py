@@ -25,7 +25,6 @@ SEAM = 3
 """Cells on either side of a seam over which its step is averaged: grain is no step."""
 MAX_STEP = 0.15
 """A step, of full range, from which on two sides of a seam are two things, and are not joined."""
-RELAXATIONS = 30
 MAX_PHOTOS = 8
 """Photos that a hole is filled from, where these show what it needs."""
 MIN_SHARE = 0.01
@@ -203,7 +202,6 @@ def even_out(
     the photo there, and steps between two pieces by what one misses of the other. At an edge beyond which a piece shows
     nothing to compare it stays as it is.
     """
-    channels = own.shape[-1]
     held, rim = np.zeros(own.shape, np.float64), np.zeros(grid.hole.shape, bool)
     bend = np.zeros(own.shape, np.float64)
     beside = [grow(labels == i, 1) for i in range(len(colours))]
@@ -219,9 +217,7 @@ def even_out(
             both = there[near] & valid[other][near] & grid.hole[near]
             step, sure = _average_step(made[near] - colours[other][near], both)
             bend_between(bend[near], step, sure, labels[near] == one, labels[near] == other)
-    spanned = np.stack(
-        [span_membrane(held[..., c], rim, bend[..., c], rounds=RELAXATIONS) for c in range(channels)], -1
-    ).astype(np.float32)
+    spanned = span_membrane(held, rim | grid.known, bend).astype(np.float32)
     # Beyond its part a piece is still seen a little, where it fades: its change goes on there.
     return [_extend(spanned, labels == i) for i in range(len(colours))]
 
