@@ -1,10 +1,11 @@
 import struct
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics
 
 from inpaint3d.contracts.errors import NonFiniteError
 from inpaint3d.contracts.models.artifacts import Primitive
@@ -18,6 +19,9 @@ from inpaint3d.stages.usd_export.soundness import BrokenStageError, refuse_broke
 from inpaint3d.stages.usd_export.validation import validate
 
 TRIANGLE = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.5]]), np.array([[0, 1, 2]]))
+TETRAHEDRON = Mesh(
+    np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+)
 UV = np.array([[[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]], np.float32)
 
 
@@ -25,15 +29,19 @@ def camera(i: int = 0) -> Camera:
     return Camera(50 + i, 55, 33, 22, 64, 48, look_at((1 + 0.1 * i, -2, 0.7), (0, 0, 0)))
 
 
-def written(folder: Path, **changes) -> Path:
+def contents_of(folder: Path) -> list[Content]:
     contents = [
         Content(name, TRIANGLE, UV, f"textures/{name}.png", np.ones(1, np.float32))
         for name in ("inpainted", "original")
     ]
     for content in contents:
         write_png(folder / content.texture, np.full((8, 8, 3), 0.5, np.float32))
+    return contents
+
+
+def written(folder: Path, **changes) -> Path:
     values = {
-        "contents": contents, "names": ["a b", "0ä"], "cameras": [camera(0), camera(1)],
+        "contents": contents_of(folder), "names": ["a b", "0ä"], "cameras": [camera(0), camera(1)],
         "primitives": [], "hull": None, "points": synthetic_scene(points=5).points, "metres_per_unit": 0.5,
     } | changes  # fmt: skip
     write_layer(folder / "scene.usdc", Scene(**values))
@@ -60,6 +68,22 @@ def test_layer_and_package_pass_every_validator(folder):
     written(folder, primitives=primitives, hull=TRIANGLE)
     packed(folder)
     assert validate(folder, ["scene.usdc", "scene.usdz"]) == []
+
+
+def test_bodies_collide_with_convex_pieces_that_nobody_sees(folder):
+    """Each variant has its own; the validators of physics find nothing wrong with them."""
+    pieces = [TETRAHEDRON, Mesh(TETRAHEDRON.vertices + 1, TETRAHEDRON.triangles)]
+    contents = [replace(content, pieces=pieces) for content in contents_of(folder)]
+    stage = Usd.Stage.Open(str(written(folder, contents=contents)))
+    holder = UsdGeom.Imageable(stage.GetPrimAtPath("/Scene/Collision"))
+    assert (holder.ComputePurpose(), holder.ComputeVisibility()) == ("proxy", "invisible")
+    there = list(stage.GetPrimAtPath("/Scene/Collision").GetChildren())
+    assert [UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get() for prim in there] == ["convexHull"] * 2
+    assert all(prim.HasAPI(UsdPhysics.CollisionAPI) for prim in there)
+    assert UsdGeom.Imageable(stage.GetPrimAtPath("/Scene/Surface")).ComputePurpose() == "default"
+    packed(folder)
+    assert validate(folder, ["scene.usdc", "scene.usdz"]) == []
+    refuse_broken(folder, ["scene.usdc"])
 
 
 def test_validators_are_really_run(folder):

@@ -29,6 +29,9 @@ class Config(Closed):
     )
     triangles: Annotated[int, Field(ge=4)] = Field(default=20_000, description="the mesh is decimated to about so many")
     texture_size: Annotated[int, Field(ge=64, le=8192)] = Field(default=2048, description="texels; side of a texture")
+    collision_pieces: Annotated[int, Field(ge=0, le=1024)] = Field(
+        default=128, description="convex pieces that bodies collide with, at most; 0: none"
+    )
     pictures: Count = Field(
         default=24, description="training views whose pictures the texture is made of, spread evenly"
     )

@@ -14,6 +14,7 @@ from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 from inpaint3d.scene.image_io import Image, Mask, write_png
 from inpaint3d.stages.usd_export.atlas import Texels, find_texels, unwrap
+from inpaint3d.stages.usd_export.collision import split_convex
 from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.contraction import contract
 from inpaint3d.stages.usd_export.fidelity import HeldOutPhoto, measure_fidelity
@@ -107,7 +108,7 @@ def make_content(
     points = np.einsum("nc,ncd->nd", texels.barycentric[few], mesh.corners()[texels.triangle[few]])
     painted = texture[texels.row[few], texels.column[few]]
     write_point_cloud(folder / f"{name}.ply", points, mesh.normals()[texels.triangle[few]], painted)
-    content = Content(name, mesh, atlas.coordinates, path, filled)
+    content = Content(name, mesh, atlas.coordinates, path, filled, split_convex(mesh, config.collision_pieces))
     return Textured(content, texture, atlas.charts, len(texels.row) / size**2)
 
 
@@ -150,6 +151,7 @@ def write_scene(
         triangles=len(contents[0].mesh.triangles),
         charts=made[0].charts,
         texel_use=round(made[0].texel_use, 4),
+        collision_pieces=len(contents[0].pieces),
         fidelity=fidelity,
         cameras=len(capture.cameras),
         variants=tuple(content.name for content in contents),

@@ -6,12 +6,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Gf, Usd, UsdGeom, Vt
 
 from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.capture_io import SparsePoints
 from inpaint3d.stages.usd_export.mesh import Mesh
+from inpaint3d.stages.usd_export.mesh_prims import compute_extent, define_mesh
 
 POINT_WIDTH = 0.005  # scene units
 
@@ -50,25 +50,9 @@ def write_mask(stage: Usd.Stage, path: str, primitives: Sequence[Primitive], hul
         shape.GetPrim().SetCustomDataByKey("inpaint3d:inverted", primitive.inverted)
         _set_tint(shape)
     if hull is not None:
-        prim = UsdGeom.Mesh.Define(stage, f"{path}/Hull")
-        points = hull.vertices.astype(np.float32)
-        triangles = hull.triangles.astype(np.int32)
-        prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-        prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(triangles), 3, np.int32)))
-        prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
-        prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-        prim.CreateExtentAttr(compute_extent(points))
-        _set_tint(prim)
+        _set_tint(define_mesh(stage, f"{path}/Hull", hull))
 
 
 def _set_tint(shape: UsdGeom.Gprim) -> None:
     shape.CreateDisplayColorAttr(Vt.Vec3fArray([Gf.Vec3f(1.0, 0.22, 0.42)]))
     shape.CreateDisplayOpacityAttr(Vt.FloatArray([0.35]))
-
-
-def compute_extent(points: NDArray[np.floating], margin: float = 0.0) -> Vt.Vec3fArray:
-    """The box of points [n, 3], grown by `margin` on all sides; empty at the origin without points."""
-    if len(points) == 0:
-        return Vt.Vec3fArray([Gf.Vec3f(0.0), Gf.Vec3f(0.0)])
-    low, high = points.min(0) - margin, points.max(0) + margin
-    return Vt.Vec3fArray([Gf.Vec3f(*map(float, low)), Gf.Vec3f(*map(float, high))])

@@ -15,8 +15,9 @@ from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 from inpaint3d.stages.usd_export.camera_prims import write_cameras
-from inpaint3d.stages.usd_export.guide_prims import compute_extent, write_mask, write_points
+from inpaint3d.stages.usd_export.guide_prims import write_mask, write_points
 from inpaint3d.stages.usd_export.mesh import Mesh
+from inpaint3d.stages.usd_export.mesh_prims import define_mesh, write_collision
 
 ROOT = "/Scene"
 VARIANT_SET = "content"
@@ -25,7 +26,8 @@ ASSET_VERSION = "0.1.0"
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """One variant: its mesh, texture coordinates [t, 3, 2] and the texture's path relative to the layer.
+    """One variant: its mesh, texture coordinates [t, 3, 2], the texture's path relative to the layer, and the convex
+    pieces that bodies collide with.
 
     filled: of the pictures that show a triangle, the share in which it lies under the mask, [t].
     """
@@ -35,6 +37,7 @@ class Content:
     coordinates: NDArray[np.float32]
     texture: str
     filled: NDArray[np.float32]
+    pieces: Sequence[Mesh] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,7 @@ def write_layer(path: Path, scene: Scene) -> None:
         variants.SetVariantSelection(content.name)
         with variants.GetVariantEditContext():
             _write_mesh(stage, content)
+            write_collision(stage, f"{ROOT}/Collision", content.pieces)
     variants.SetVariantSelection(scene.contents[0].name)
     write_cameras(stage, f"{ROOT}/Cameras", scene.names, scene.cameras, metres_per_unit)
     if scene.points is not None and len(scene.points):
@@ -85,15 +89,8 @@ def write_layer(path: Path, scene: Scene) -> None:
 
 
 def _write_mesh(stage: Usd.Stage, content: Content) -> None:
-    mesh = UsdGeom.Mesh.Define(stage, f"{ROOT}/Surface")
-    points = content.mesh.vertices.astype(np.float32)
-    triangles = content.mesh.triangles.astype(np.int32)
-    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(triangles), 3, np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
-    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh = define_mesh(stage, f"{ROOT}/Surface", content.mesh)
     mesh.CreateDoubleSidedAttr(True)
-    mesh.CreateExtentAttr(compute_extent(points))
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(content.mesh.vertex_normals().astype(np.float32)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)

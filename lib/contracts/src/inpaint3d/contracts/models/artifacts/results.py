@@ -84,6 +84,7 @@ class UsdScene(Closed):
     triangles: int
     charts: int = Field(description="pieces that the mesh was cut into to be flattened")
     texel_use: Share = Field(description="of the texture, what lies in a chart")
+    collision_pieces: int = Field(default=0, description="convex pieces that bodies collide with")
     fidelity: MeshFidelity | None = Field(default=None, description="None: no photograph was held out")
     cameras: int
     variants: tuple[str, ...] = Field(default=(), description="e.g. 'inpainted', 'original', 'mask'")
