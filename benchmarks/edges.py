@@ -133,15 +133,15 @@ def measure_edges(run: Run, clean: Path) -> dict[str, Any]:
     return {name: summarise(parts) for name, parts in found.items()}
 
 
-def summarise(parts: list[Found]) -> dict[str, float]:
-    """How many edges; share of their length that is there; median offset and angle of what is."""
+def summarise(parts: list[Found]) -> dict[str, float | None]:
+    """How many edges; share of their length that is there; median offset and angle of what is, None without any."""
     length = np.array([p.length for p in parts])
     there = [p for p in parts if np.isfinite(p.offset)]
     return {
         "edges": len(parts),
         "share_of_length": round(float((length * [p.share for p in parts]).sum() / length.sum()), 4),
-        "offset_px": round(float(np.median([p.offset for p in there])), 3),
-        "angle_deg": round(float(np.median([p.angle for p in there])), 3),
+        "offset_px": round(float(np.median([p.offset for p in there])), 3) if there else None,
+        "angle_deg": round(float(np.median([p.angle for p in there])), 3) if there else None,
     }
 
 

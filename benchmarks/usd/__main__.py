@@ -85,7 +85,8 @@ def measure_lpips(store: FolderStore, inputs: dict[str, Any], made: Artifact[Usd
     trained = store.open(inputs["inpainted"], RadianceFieldArtifact)
     field = load_field(trained.path(trained.metadata.weights), trained.metadata.spec)
     views = load_posed(posed)
-    mesh = UsdGeom.Mesh(Usd.Stage.Open(str(made.path(made.metadata.layer))).GetPrimAtPath("/Scene/Surface"))
+    stage = Usd.Stage.Open(str(made.path(made.metadata.layer)))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Surface"))
     caster = Caster(
         np.asarray(mesh.GetPointsAttr().Get()), np.asarray(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
     )

@@ -22,7 +22,7 @@ def main(scene: str, out: str, views: list[str]) -> None:
     # The photos' light is in the textures: shown as they are, without a film's tone curve.
     bpy.context.scene.view_settings.view_transform = "Standard"
     for thing in bpy.data.objects:
-        thing.hide_render = thing.name.startswith(("Hull", "Volume_", "SparsePoints"))
+        thing.hide_render = thing.name.startswith(("Hull", "Volume_", "SparsePoints", "Piece_"))
     for view in views:
         camera = next(
             c for c in bpy.data.objects if c.type == "CAMERA" and view in (c.name, c.parent and c.parent.name)
