@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from inpaint3d.contracts.models.artifacts import (
+    CleanPlates,
     Evaluation,
     MaskSet,
     PictureStrip,
@@ -25,6 +26,7 @@ from inpaint3d.orchestrator.accuracy import render_course
 from inpaint3d.orchestrator.effects import read_effects
 from inpaint3d.orchestrator.pages.dag import draw_dag, format_seconds
 from inpaint3d.orchestrator.pages.effects import EffectRow, describe_effects
+from inpaint3d.orchestrator.pages.exports import Export, describe_plates, describe_scene
 from inpaint3d.orchestrator.pages.orbit import Orbit, build_orbit
 from inpaint3d.orchestrator.pages.pictures import Strip, cut_strip, fit_into
 from inpaint3d.orchestrator.pages.tables import list_views, make_table
@@ -62,10 +64,13 @@ class Page:
         found = self._open("pose-estimation", "posed-capture", PosedCapture)
         return found.metadata if found else None
 
-    @cached_property
-    def scene(self) -> UsdScene | None:
-        found = self._open("usd-export", "usd-scene", UsdScene)
-        return found.metadata if found else None
+    @property
+    def exports(self) -> list[Export]:
+        """What people take on from here."""
+        scene = self._open("usd-export", "usd-scene", UsdScene)
+        plates = self._open("plate-export", "clean-plates", CleanPlates)
+        found = [describe_scene(scene.metadata)] if scene else []
+        return [*found, describe_plates(plates.metadata)] if plates else found
 
     @property
     def effects(self) -> Sequence[EffectRow]:
