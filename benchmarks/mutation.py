@@ -14,8 +14,9 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -113,7 +114,7 @@ BY_HAND = [
     (f"{RADIANCE}/backends/reference.py", " & torch.isfinite(to)", ""),
     (f"{RADIANCE}/backends/reference.py", "mass = weights + torch.finfo(weights.dtype).eps * torch.diff(sdist)", "mass = weights"),
     (f"{RADIANCE}/backends/reference.py", "torch.where(gap <= 0, 1, gap)", "torch.where(gap > 0, gap, 1)"),
-    (f"{RADIANCE}/backends/reference.py", ".where(low.isfinite(), 0)", ""),
+    (f"{RADIANCE}/backends/reference.py", ".masked_fill(low.isnan(), 0)", ""),
     (f"{RADIANCE}/backends/reference.py", "(weights + torch.finfo(weights.dtype).eps)", "weights"),
     (f"{RADIANCE}/backends/reference.py", "safe.sigmoid(logits)", "torch.sigmoid(logits)"),
     (f"{RADIANCE}/artifact.py", "~np.isfinite(values)", "np.zeros_like(values, bool)"),
@@ -197,9 +198,6 @@ BY_HAND = [
 ]
 # fmt: on
 EXPLAINED = {
-    "volume.py: ((half - before) / within).clamp_(0, 1) -> ((half - before) / within)": (
-        "the search finds the interval that holds the half: only rounding leaves [0, 1], by an ulp"
-    ),
     "samplers.py: torch.expm1(-h) -> (torch.exp((-h)) - 1)": (
         "what it multiplies is added to numbers of about 1, whose own rounding is as large as the digits that are lost"
     ),
@@ -214,13 +212,14 @@ Calls = dict[str, list[str]]
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change of one source file: `before` at `offset` becomes `after`."""
+    """A change of one source file: `before` at `offset` becomes `after`; the nth such change of the file."""
 
     file: str
     line: int
     before: str
     after: str
     offset: int
+    nth: int = 0
 
     @property
     def function(self) -> str:
@@ -234,7 +233,8 @@ class Mutant:
 
     @property
     def identity(self) -> tuple[str, str, str, int]:
-        return self.file, self.before, self.after, self.line
+        """What stays the same when other lines of the file come and go."""
+        return self.file, self.before, self.after, self.nth
 
     @property
     def name(self) -> str:
@@ -249,7 +249,21 @@ def find_mutants() -> list[Mutant]:
         if (offset := text.find(before)) < 0:
             raise ValueError(f"{file} no longer has {before!r}; bring the list up to date")
         found.append(Mutant(file, text.count("\n", 0, offset) + 1, before, after, offset))
-    return found
+    return _number(found)
+
+
+def _number(mutants: list[Mutant]) -> list[Mutant]:
+    seen: Counter[tuple[str, str, str]] = Counter()
+    numbered: list[Mutant] = []
+    for mutant in mutants:
+        change = mutant.file, mutant.before, mutant.after
+        numbered.append(replace(mutant, nth=seen[change]))
+        seen[change] += 1
+    return numbered
+
+
+def _of_row(row: dict[str, Any]) -> Mutant:
+    return Mutant(row["file"], row["line"], row["before"], row["after"], 0)
 
 
 def _by_pattern(file: str) -> Iterator[Mutant]:
@@ -395,7 +409,7 @@ def main() -> None:
     options = parser.parse_args()
     mutants = find_mutants()
     known = json.loads(options.out.read_text())["rows"] if options.out.exists() else []
-    rows = {(row["file"], row["before"], row["after"], row["line"]): row for row in known}
+    rows = {mutant.identity: row for mutant, row in zip(_number([_of_row(row) for row in known]), known, strict=True)}
     chosen = [m for m in mutants if re.search(options.only, f"{m.file} {m.name}")]
     chosen = [m for m in chosen if not (options.missing and m.identity in rows)]
     if options.list:
@@ -409,9 +423,11 @@ def main() -> None:
         alive, seconds = survives(mutant, calls)
         said = "SURVIVED" if alive else "killed"
         print(f"{number + 1}/{len(chosen)} {said} {seconds:.0f} s {mutant.name}", flush=True)
-        row = {k: v for k, v in asdict(mutant).items() if k != "offset"} | {"survived": alive}
+        row = {k: v for k, v in asdict(mutant).items() if k not in ("offset", "nth")} | {"survived": alive}
         rows[mutant.identity] = row | ({"explanation": EXPLAINED.get(mutant.name, "")} if alive else {})
-        write_table(options.out, [rows[m.identity] for m in mutants if m.identity in rows], len(mutants))
+        write_table(
+            options.out, [rows[m.identity] | {"line": m.line} for m in mutants if m.identity in rows], len(mutants)
+        )
 
 
 def write_table(out: Path, rows: list[dict[str, Any]], mutants: int) -> None:
