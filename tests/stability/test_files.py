@@ -13,7 +13,7 @@ from inpaint3d.contracts.kit.context import Context
 from inpaint3d.contracts.models.canonical import canonical_json
 from inpaint3d.scene.capture_io import load_points, write_points
 from inpaint3d.scene.finite import find_non_finite
-from inpaint3d.scene.image_io import read_image, read_mask, write_png
+from inpaint3d.scene.image_io import read_image, read_mask, read_opaque, write_png
 from inpaint3d.scene.map_io import write_exr
 from inpaint3d.scene.synthetic import synthetic_scene
 from tests.stability.catalogue import hard_case
@@ -56,11 +56,11 @@ def test_masks_that_are_not_finite(tmp_path: Path, value: float, everywhere: boo
     FILES,
     plain="linear light in other units is clipped: 94 % white, or black, without a word",
     ours="refused with the range that was found",
-    swept="light of 1e-6 to 1e6 times the usual; NaN and inf in one pixel",
+    swept="light of 1e-6 to 1e6 times the usual, negative light; NaN and inf in one pixel",
     told="`PATH holds linear light from 0.5 to 900, and 94% of it is white; export it in units in which white is 1` "
     "(exit code 3)",
 )
-@pytest.mark.parametrize("scale", [1e-6, 1e-4, 0.05, 1.0, 1.5, 50.0, 1e6, math.nan, math.inf])
+@pytest.mark.parametrize("scale", [1e-6, 1e-4, 0.05, 1.0, 1.5, 50.0, 1e6, -1.0, math.nan, math.inf])
 def test_linear_light_in_other_units(tmp_path: Path, scale: float) -> None:
     light = np.random.default_rng(0).random((16, 16, 3)) * 0.9
     if math.isfinite(scale):
@@ -73,6 +73,23 @@ def test_linear_light_in_other_units(tmp_path: Path, scale: float) -> None:
     else:
         with pytest.raises(BadInputError, match=r"p\.exr (holds linear light from|has 1 pixels that are not finite)"):
             read_image(tmp_path / "p.exr")
+
+
+@hard_case(
+    FILES,
+    plain="NaN > 0.5 is False: what has an alpha of NaN is transparent, no evidence",
+    ours="refused with the count",
+    swept="NaN, inf in one pixel and in all",
+    told="`PATH has COUNT pixels whose alpha is not finite; export it again without them` (exit code 3)",
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_alpha_that_is_not_finite(tmp_path: Path, value: float, everywhere: bool) -> None:
+    picture = np.ones((8, 8, 4))
+    picture[slice(None) if everywhere else 3, 2:4, 3] = value
+    write_float(tmp_path / "p.exr", picture, "RGBA")
+    with pytest.raises(BadInputError, match=rf"p.exr has {16 if everywhere else 2} pixels whose alpha is not finite"):
+        read_opaque(tmp_path / "p.exr")
 
 
 def test_black_linear_pictures_are_pictures(tmp_path: Path) -> None:
