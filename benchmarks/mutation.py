@@ -169,7 +169,6 @@ BY_HAND = [
     (f"{EXPORT}/texture.py", "sound[[0, -1]] = sound[:, [0, -1]] = False", "pass"),
     (f"{EXPORT}/texture.py", "safe_z = np.where(inside, z, 1.0)", "safe_z = z"),
     (f"{EXPORT}/texture.py", "np.minimum(apart / (2 * AGREEMENT**2), 30.0)", "apart / (2 * AGREEMENT**2)"),
-    (f"{EXPORT}/texture.py", "if known.any():", "if True:"),
     (f"{EXPORT}/atlas.py", "size, PADDING", "size, 0"),
     (f"{EVALUATION}/methods.py", "~np.isfinite(values)", "np.isnan(values)"),
     (f"{EVALUATION}/bench.py", "return not any(counts.values())", "return True"),
