@@ -25,9 +25,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 RADIANCE, DIFFUSION, SCENE = (f"lib/{n}/src/inpaint3d/{n}" for n in ("radiance", "diffusion", "scene"))
-EVALUATION, POSES, EXPORT, PRIORS, JOINT = (
+EVALUATION, INGEST, POSES, EXPORT, PRIORS, JOINT = (
     f"stages/{n}/src/inpaint3d/stages/{n}"
-    for n in ("evaluation", "pose_estimation", "usd_export", "diffusion_training", "joint_optimization")
+    for n in ("evaluation", "capture_ingest", "pose_estimation", "usd_export", "diffusion_training", "joint_optimization")
 )
 ORCHESTRATOR = "orchestrator/src/inpaint3d/orchestrator"
 EFFECTS = f"{SCENE}/effects"
@@ -77,6 +77,9 @@ RELATED = {
     f"{POSES}/normalise.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_normalise.py"],
     f"{POSES}/gate.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_gate.py"],
     f"{POSES}/model.py": [f"{STABILITY}/test_geometry.py"],
+    f"{POSES}/scale.py": ["stages/pose_estimation/tests/test_scale.py"],
+    f"{INGEST}/lenses.py": [f"{STABILITY}/test_geometry.py", "stages/capture_ingest/tests/test_cameras.py"],
+    f"{INGEST}/carry.py": ["stages/capture_ingest/tests/test_run.py"],
     f"{EXPORT}/mesh.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
     f"{EXPORT}/fusion.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
     f"{EXPORT}/soundness.py": ["stages/usd_export/tests/test_usd.py"],
@@ -142,11 +145,19 @@ BY_HAND = [
     (f"{SCENE}/image_io.py", "if strange := int((~np.isfinite(grey)).sum()):", "if strange := 0:"),
     (f"{SCENE}/image_io.py", "if linear:\n        _check_units(colour, path)", "if False:\n        pass"),
     (f"{SCENE}/image_io.py", "white > MAX_WHITE or ", ""),
-    (f"{SCENE}/image_io.py", " or 0 < brightest < MIN_LIGHT", ""),
+    (f"{SCENE}/image_io.py", " or (brightest < MIN_LIGHT and light.any())", ""),
+    (f"{SCENE}/image_io.py", " and light.any()", ""),
+    (f"{SCENE}/image_io.py", "if strange := int((~np.isfinite(alpha)).sum()):", "if strange := 0:"),
     (f"{SCENE}/image_io.py", "if found := find_non_finite({path.name: image}):", "if found := []:"),
     (f"{SCENE}/capture_io.py", "if strange := find_non_finite(arrays):", "if strange := []:"),
     (f"{POSES}/gate.py", "np.flatnonzero(distance > FAR * usual).tolist() if usual > 0 else []", "[]"),
     (f"{POSES}/gate.py", "if usual > 0 else []", ""),
+    (f"{POSES}/gate.py", "max(ONE_POINT * away, LEAST_EXTENT)", "0.0"),
+    (f"{POSES}/scale.py", "np.rad2deg(np.arcsin(np.sqrt(shared)))) < LEAST_SPREAD_DEG", "np.rad2deg(np.arcsin(np.sqrt(shared)))) < 0"),
+    (f"{POSES}/scale.py", "if length <= miss:", "if False:"),
+    (f"{INGEST}/lenses.py", "if (bend := _bend(lens.model, further, radius)) > STRONGEST_BEND:", "if (bend := 0.0):"),
+    (f"{INGEST}/lenses.py", "if not SHORTEST_FOCAL * longest <= min(focal) <= max(focal) <= LONGEST_FOCAL * longest:", "if min(focal) <= 0:"),
+    (f"{INGEST}/carry.py", " and low <= value <= high", ""),
     (f"{POSES}/normalise.py", "origin = np.median(centres, 0)", "origin = np.zeros(3)"),
     (f"{POSES}/model.py", "round_to_digits(pose[:, :3], 1.0)", "round_to_digits(pose[:, :3], np.abs(pose).max())"),
     (f"{POSES}/model.py", "np.maximum(np.abs(xyz).max(-1, keepdims=True, initial=0.0), 1.0)", "max(np.abs(xyz).max(initial=0.0), 1.0)"),

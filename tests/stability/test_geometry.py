@@ -107,6 +107,24 @@ def test_rays_against_volumes(away: float, radius: float) -> None:
 
 
 @hard_case(
+    REPROJECTION,
+    plain="r^2 beyond 1e308 is an error of Python, or inf - inf: a mask request of such a sphere ends a run",
+    ours="a sphere of any size holds all or nothing; the mask of all or of nothing is refused",
+    swept="radii of 1e-300 to 1e300 around the ray's origin, and 1e300 away",
+    told="`the sphere mask is in none of the N views; move or enlarge it ...`, `... covers 100.0% of the views' pixels "
+    "...; make it smaller ...` (exit code 2)",
+)
+@pytest.mark.parametrize("radius", [1e-300, 1e-150, 1e100, 1e160, 1e300])
+def test_spheres_of_any_size(radius: float) -> None:
+    near, far, hit = ray_sphere([0, -1, 0], [0, 1, 0], [0, 0, 0], radius)
+    assert hit
+    assert near == (0 if radius > 1 else 1)
+    assert far >= 1
+    assert not ray_sphere([0, 0, 0], [0, 1, 0], [1e300, 0, 0], min(radius, 1e290))[2]
+    assert not ray_sphere([0, 0, 0], [0, 1, 0], [0, -1e300, 0], 1.0)[2]
+
+
+@hard_case(
     POSES,
     plain="nine digits shared by rotation and translation: centres at 1e5 turn the camera by 5e-4",
     ours="rotations and translations are rounded apart",
