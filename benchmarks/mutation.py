@@ -27,7 +27,14 @@ ROOT = Path(__file__).parents[1]
 RADIANCE, DIFFUSION, SCENE = (f"lib/{n}/src/inpaint3d/{n}" for n in ("radiance", "diffusion", "scene"))
 EVALUATION, INGEST, POSES, EXPORT, PRIORS, JOINT = (
     f"stages/{n}/src/inpaint3d/stages/{n}"
-    for n in ("evaluation", "capture_ingest", "pose_estimation", "usd_export", "diffusion_training", "joint_optimization")
+    for n in (
+        "evaluation",
+        "capture_ingest",
+        "pose_estimation",
+        "usd_export",
+        "diffusion_training",
+        "joint_optimization",
+    )
 )
 ORCHESTRATOR = "orchestrator/src/inpaint3d/orchestrator"
 EFFECTS = f"{SCENE}/effects"

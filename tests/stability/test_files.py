@@ -10,11 +10,14 @@ from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
 from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import PaintedView, PaintedViews
 from inpaint3d.contracts.models.canonical import canonical_json
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.scene.capture_io import load_points, write_points
 from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.scene.image_io import read_image, read_mask, read_opaque, write_png
 from inpaint3d.scene.map_io import write_exr
+from inpaint3d.scene.paintings import read_painting
 from inpaint3d.scene.synthetic import synthetic_scene
 from tests.stability.catalogue import hard_case
 
@@ -90,6 +93,30 @@ def test_alpha_that_is_not_finite(tmp_path: Path, value: float, everywhere: bool
     write_float(tmp_path / "p.exr", picture, "RGBA")
     with pytest.raises(BadInputError, match=rf"p.exr has {16 if everywhere else 2} pixels whose alpha is not finite"):
         read_opaque(tmp_path / "p.exr")
+
+
+@hard_case(
+    FILES,
+    plain="paint of NaN or of other units reaches every pixel that the completion takes from it",
+    ours="refused, under the name that the file has in the user's folder",
+    swept="NaN, inf and light of 1e6 in a painted picture, in its mask",
+    told="`pictures/a.exr has COUNT pixels that are not finite; export it again without them` (exit code 3)",
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e6])
+@pytest.mark.parametrize("file", ["pictures/a.exr", "masks/a.exr"])
+def test_paintings_that_are_not_finite(tmp_path: Path, value: float, file: str) -> None:
+    store = FolderStore(tmp_path / "store")
+    folder = store.private_folder()
+    for path in ("pictures/a.exr", "masks/a.exr"):
+        (folder / path).parent.mkdir()
+        write_float(folder / path, np.full((8, 8, 3), value if path == file else 0.75))
+    view = PaintedView(name="a", picture="pictures/a.exr", mask="masks/a.exr")
+    painted = store.open(store.put(folder, "painted-views", PaintedViews(views=(view,))), PaintedViews)
+    if file == "masks/a.exr" and value == 1e6:
+        assert read_painting(painted, view).mask.all()
+        return
+    with pytest.raises(BadInputError, match=rf"^(mask )?{file} (has 64 pixels that are not finite|holds linear light)"):
+        read_painting(painted, view)
 
 
 def test_black_linear_pictures_are_pictures(tmp_path: Path) -> None:

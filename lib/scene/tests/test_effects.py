@@ -142,7 +142,7 @@ def test_gains_explain_held_out_points_only_where_there_are_gains():
 def test_what_is_left_about_a_points_mean_is_its_variance():
     values = np.random.default_rng(4).normal(0, 0.01, (500, 9))
     assert np.nanmean(measure_rest(values)) == pytest.approx(1e-4, rel=0.1)
-    assert np.isnan(measure_rest(np.array([[1.0, np.nan]])))
+    assert np.isnan(measure_rest(np.array([[1.0, np.nan], [np.nan, np.nan]]))).all()
 
 
 def test_nothing_seen_gives_zeros():

@@ -229,6 +229,14 @@ def test_what_no_camera_records_is_not_recorded(tmp_path, value):
     assert read_exif(header, 60, 40) == Exif()
 
 
+@pytest.mark.parametrize(("altitude", "told"), [(431.5, 431.5), (np.nan, 0.0), (np.inf, 0.0), (-np.inf, 0.0)])
+def test_a_height_that_is_none_is_not_told(tmp_path, altitude, told):
+    write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    place = {"GPS:Latitude": (47.0, 30.0, 0.0), "GPS:Longitude": (8.0, 15.0, 0.0), "GPS:Altitude": altitude}
+    header = replace(read_header(tmp_path / "a.png"), exif=place)
+    assert read_exif(header, 60, 40).position == (47.5, 8.25, told)
+
+
 @pytest.mark.parametrize(
     ("attributes", "position"),
     [
