@@ -163,6 +163,40 @@ def test_points_that_are_not_finite(tmp_path: Path, value: float, name: str) -> 
 
 @hard_case(
     FILES,
+    plain="-1 as a view is the last one, offsets beyond the end are an error of numpy, tracks of others count as own",
+    ours="tracks are divided among the points, or refused",
+    swept="a view of -1, offsets that fall, end early, late, or are one too few; colours of fewer points",
+    told="`PATH: COUNT sightings of views from -1 on do not fall to COUNT points by track_offsets ...; run "
+    "pose-estimation` (exit code 3)",
+)
+@pytest.mark.parametrize("broken", ["view", "fall", "early", "late", "few", "colours"])
+def test_tracks_of_other_points(tmp_path: Path, broken: str) -> None:
+    path = tmp_path / "p.safetensors"
+    write_points(path, synthetic_scene(views=3).points)
+    arrays = load_file(path)
+    offsets = arrays["track_offsets"]
+    if broken == "view":
+        arrays["track_frame"][2] = -1
+    elif broken == "fall":
+        offsets[1:3] = offsets[2:0:-1].copy()
+    elif broken in ("early", "late"):
+        offsets[-1] += 1 if broken == "late" else -1
+    else:
+        name = "track_offsets" if broken == "few" else "rgb"
+        arrays[name] = arrays[name][1:]
+    save_file(arrays, path)
+    with pytest.raises(ArtifactError, match=r"p\.safetensors: \d+ sightings of views from -?\d on do not fall to"):
+        load_points(path)
+
+
+def test_no_points_are_points(tmp_path: Path) -> None:
+    points = synthetic_scene(views=3).points
+    write_points(tmp_path / "p.safetensors", points.select(np.zeros(len(points), bool)))
+    assert len(load_points(tmp_path / "p.safetensors")) == 0
+
+
+@hard_case(
+    FILES,
     plain="one inf in a row, and a run of hours ends with `cannot be written as JSON`",
     ours="the figure is left out and counted by its place",
     swept="NaN, inf, -inf in a series and in progress",
