@@ -74,6 +74,7 @@ RELATED = {
     f"{SCENE}/windows.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_windows.py"],
     f"{SCENE}/geometry.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_geometry.py"],
     f"{SCENE}/reprojection.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_reprojection.py"],
+    f"{SCENE}/masked_views.py": ["lib/scene/tests/test_masked_views.py"],
     f"{SCENE}/normals.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_normals.py"],
     f"{SCENE}/finite.py": [f"{STABILITY}/test_files.py"],
     f"{SCENE}/image_io.py": [f"{STABILITY}/test_files.py"],
@@ -156,6 +157,8 @@ BY_HAND = [
     (f"{SCENE}/image_io.py", " and light.any()", ""),
     (f"{SCENE}/image_io.py", "if strange := int((~np.isfinite(alpha)).sum()):", "if strange := 0:"),
     (f"{SCENE}/image_io.py", "if found := find_non_finite({path.name: image}):", "if found := []:"),
+    (f"{SCENE}/capture_io.py", "if not sound:", "if False:"),
+    (f"{SCENE}/masked_views.py", "xy[rows, 0].clip(0, hole.shape[1] - 1)", "xy[rows, 0]"),
     (f"{SCENE}/capture_io.py", "if strange := find_non_finite(arrays):", "if strange := []:"),
     (f"{POSES}/gate.py", "np.flatnonzero(distance > FAR * usual).tolist() if usual > 0 else []", "[]"),
     (f"{POSES}/gate.py", "if usual > 0 else []", ""),
@@ -165,6 +168,7 @@ BY_HAND = [
     (f"{INGEST}/lenses.py", "if (bend := _bend(lens.model, further, radius)) > STRONGEST_BEND:", "if (bend := 0.0):"),
     (f"{INGEST}/lenses.py", "if not SHORTEST_FOCAL * longest <= min(focal) <= max(focal) <= LONGEST_FOCAL * longest:", "if min(focal) <= 0:"),
     (f"{INGEST}/carry.py", " and low <= value <= high", ""),
+    (f"{INGEST}/carry.py", " and np.isfinite(altitude)", ""),
     (f"{POSES}/normalise.py", "origin = np.median(centres, 0)", "origin = np.zeros(3)"),
     (f"{POSES}/model.py", "round_to_digits(pose[:, :3], 1.0)", "round_to_digits(pose[:, :3], np.abs(pose).max())"),
     (f"{POSES}/model.py", "np.maximum(np.abs(xyz).max(-1, keepdims=True, initial=0.0), 1.0)", "max(np.abs(xyz).max(initial=0.0), 1.0)"),
@@ -187,6 +191,7 @@ BY_HAND = [
     (f"{EXPORT}/texture.py", "sound[[0, -1]] = sound[:, [0, -1]] = False", "pass"),
     (f"{EXPORT}/texture.py", "safe_z = np.where(inside, z, 1.0)", "safe_z = z"),
     (f"{EXPORT}/texture.py", "np.minimum(apart / (2 * AGREEMENT**2), 30.0)", "apart / (2 * AGREEMENT**2)"),
+    (f"{EXPORT}/texture.py", "np.maximum(agreed.sum(0), 1e-30)[:, None]\n        away", "np.maximum(agreed.sum(0), 1e-12)[:, None]\n        away"),
     (f"{EXPORT}/atlas.py", "size, PADDING", "size, 0"),
     (f"{EVALUATION}/methods.py", "~np.isfinite(values)", "np.isnan(values)"),
     (f"{EVALUATION}/bench.py", "return not any(counts.values())", "return True"),
@@ -199,6 +204,7 @@ BY_HAND = [
     (f"{EFFECTS}/gains.py", "np.maximum(weight.sum(1), 1e-12)", "weight.sum(1)"),
     (f"{EFFECTS}/gains.py", "(np.median(gains[told]) if told.any() else 0.0)", "np.median(gains[told])"),
     (f"{EFFECTS}/gains.py", ' if total > 0 else float("nan")', ""),
+    (f"{EFFECTS}/gains.py", "np.maximum(count, 1)\n", "count\n"),
     (f"{EFFECTS}/evidence.py", "(energy[:, 0] + 1e-6) / (energy[:, 1] + 1e-6)", "energy[:, 0] / energy[:, 1]"),
     (f"{EFFECTS}/intervals.py", "folds = folds[np.isfinite(folds)]", "folds = folds[:]"),
     (f"{EFFECTS}/intervals.py", "if len(folds) < 2:", "if False:"),
@@ -303,8 +309,8 @@ def _without_guard(node: ast.AST, text: str) -> str | None:
         return None
     name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
     constant = [isinstance(a, ast.Constant) for a in node.args]
-    if name in ("clamp", "clamp_") and isinstance(node.func, ast.Attribute):
-        of_module = isinstance(node.func.value, ast.Name) and node.func.value.id == "torch"
+    if name in ("clamp", "clamp_", "clip") and isinstance(node.func, ast.Attribute):
+        of_module = isinstance(node.func.value, ast.Name) and node.func.value.id in ("torch", "np")
         return source(node.args[0] if of_module else node.func.value)
     if name == "expm1":
         return f"(torch.exp({source(node.args[0])}) - 1)"
