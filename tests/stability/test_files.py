@@ -24,8 +24,8 @@ from tests.stability.catalogue import hard_case
 FILES = "Files"
 
 
-def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = ()) -> None:
-    """An EXR of any numbers, as other programs write them; ours refuses to write what is not finite."""
+def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = (), **attributes: str) -> None:
+    """An EXR or TIFF of any numbers, as other programs write them; ours refuses to write what is not finite."""
     import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 
     h, w, c = pixels.shape
@@ -33,6 +33,8 @@ def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = ()) ->
     spec = oiio.ImageSpec(w, h, c, oiio.FLOAT)
     if channels:
         spec.channelnames = tuple(channels)
+    for name, value in attributes.items():
+        spec.attribute(f"oiio:{name}", value)
     output.open(str(path), spec)
     output.write_image(np.ascontiguousarray(pixels, np.float32))
     output.close()
@@ -187,6 +189,16 @@ def test_tracks_of_other_points(tmp_path: Path, broken: str) -> None:
     save_file(arrays, path)
     with pytest.raises(ArtifactError, match=r"p\.safetensors: \d+ sightings of views from -?\d on do not fall to"):
         load_points(path)
+
+
+def test_codes_of_floats_are_colours_of_a_picture(tmp_path: Path) -> None:
+    """Files of floats that say that they are sRGB may overshoot."""
+    pixels = np.full((4, 4, 3), 1.5)
+    pixels[0] = -0.5
+    write_float(tmp_path / "p.tif", pixels, ColorSpace="sRGB")
+    found = read_image(tmp_path / "p.tif")
+    assert (found[0] == 0).all()
+    assert (found[1:] == 1).all()
 
 
 def test_no_points_are_points(tmp_path: Path) -> None:

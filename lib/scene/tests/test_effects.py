@@ -51,6 +51,15 @@ def state(module, evidence, forced=None):
     return decide(module.EFFECT, module.measure(evidence), forced or {}).state
 
 
+def test_without_an_order_neighbours_are_the_nearest_views(plain):
+    loose = replace(plain, ordered=False).neighbours
+    for view, others in enumerate(loose.tolist()):
+        away = {k: np.linalg.norm(v.camera.centre - plain.views[view].camera.centre) for k, v in enumerate(plain.views)}
+        assert others == sorted(away, key=away.__getitem__)[1:3]
+    pair = replace(plain, views=plain.views[:2], ordered=False)
+    assert pair.neighbours.tolist() == [[1, 1], [0, 0]]
+
+
 def test_every_module_is_an_effect_and_every_effect_a_module():
     modules = {m.name for m in pkgutil.iter_modules(effects.__path__)} - INTERFACE
     assert {name.replace("-", "_") for name in effects.DECIDED_IN} == modules
