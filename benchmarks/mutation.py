@@ -14,8 +14,9 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -24,9 +25,16 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 RADIANCE, DIFFUSION, SCENE = (f"lib/{n}/src/inpaint3d/{n}" for n in ("radiance", "diffusion", "scene"))
-EVALUATION, POSES, EXPORT, PRIORS, JOINT = (
+EVALUATION, INGEST, POSES, EXPORT, PRIORS, JOINT = (
     f"stages/{n}/src/inpaint3d/stages/{n}"
-    for n in ("evaluation", "pose_estimation", "usd_export", "diffusion_training", "joint_optimization")
+    for n in (
+        "evaluation",
+        "capture_ingest",
+        "pose_estimation",
+        "usd_export",
+        "diffusion_training",
+        "joint_optimization",
+    )
 )
 ORCHESTRATOR = "orchestrator/src/inpaint3d/orchestrator"
 EFFECTS = f"{SCENE}/effects"
@@ -66,6 +74,7 @@ RELATED = {
     f"{SCENE}/windows.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_windows.py"],
     f"{SCENE}/geometry.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_geometry.py"],
     f"{SCENE}/reprojection.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_reprojection.py"],
+    f"{SCENE}/masked_views.py": ["lib/scene/tests/test_masked_views.py"],
     f"{SCENE}/normals.py": [f"{STABILITY}/test_geometry.py", "lib/scene/tests/test_normals.py"],
     f"{SCENE}/finite.py": [f"{STABILITY}/test_files.py"],
     f"{SCENE}/image_io.py": [f"{STABILITY}/test_files.py"],
@@ -76,6 +85,10 @@ RELATED = {
     f"{POSES}/normalise.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_normalise.py"],
     f"{POSES}/gate.py": [f"{STABILITY}/test_geometry.py", "stages/pose_estimation/tests/test_gate.py"],
     f"{POSES}/model.py": [f"{STABILITY}/test_geometry.py"],
+    f"{POSES}/undistort.py": ["stages/pose_estimation/tests/test_undistort.py"],
+    f"{POSES}/scale.py": ["stages/pose_estimation/tests/test_scale.py"],
+    f"{INGEST}/lenses.py": [f"{STABILITY}/test_geometry.py", "stages/capture_ingest/tests/test_cameras.py"],
+    f"{INGEST}/carry.py": ["stages/capture_ingest/tests/test_run.py"],
     f"{EXPORT}/mesh.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
     f"{EXPORT}/fusion.py": [f"{STABILITY}/test_geometry.py", "stages/usd_export/tests/test_mesh.py"],
     f"{EXPORT}/soundness.py": ["stages/usd_export/tests/test_usd.py"],
@@ -113,7 +126,7 @@ BY_HAND = [
     (f"{RADIANCE}/backends/reference.py", " & torch.isfinite(to)", ""),
     (f"{RADIANCE}/backends/reference.py", "mass = weights + torch.finfo(weights.dtype).eps * torch.diff(sdist)", "mass = weights"),
     (f"{RADIANCE}/backends/reference.py", "torch.where(gap <= 0, 1, gap)", "torch.where(gap > 0, gap, 1)"),
-    (f"{RADIANCE}/backends/reference.py", ".where(low.isfinite(), 0)", ""),
+    (f"{RADIANCE}/backends/reference.py", ".masked_fill(low.isnan(), 0)", ""),
     (f"{RADIANCE}/backends/reference.py", "(weights + torch.finfo(weights.dtype).eps)", "weights"),
     (f"{RADIANCE}/backends/reference.py", "safe.sigmoid(logits)", "torch.sigmoid(logits)"),
     (f"{RADIANCE}/artifact.py", "~np.isfinite(values)", "np.zeros_like(values, bool)"),
@@ -141,11 +154,25 @@ BY_HAND = [
     (f"{SCENE}/image_io.py", "if strange := int((~np.isfinite(grey)).sum()):", "if strange := 0:"),
     (f"{SCENE}/image_io.py", "if linear:\n        _check_units(colour, path)", "if False:\n        pass"),
     (f"{SCENE}/image_io.py", "white > MAX_WHITE or ", ""),
-    (f"{SCENE}/image_io.py", " or 0 < brightest < MIN_LIGHT", ""),
+    (f"{SCENE}/image_io.py", " or (brightest < MIN_LIGHT and light.any())", ""),
+    (f"{SCENE}/image_io.py", " and light.any()", ""),
+    (f"{SCENE}/image_io.py", "np.clip(colour, 0, 1)", "colour"),
+    (f"{SCENE}/image_io.py", "if strange := int((~np.isfinite(alpha)).sum()):", "if strange := 0:"),
     (f"{SCENE}/image_io.py", "if found := find_non_finite({path.name: image}):", "if found := []:"),
+    (f"{SCENE}/capture_io.py", "if not sound:", "if False:"),
+    (f"{SCENE}/masked_views.py", "xy[rows, 0].clip(0, hole.shape[1] - 1)", "xy[rows, 0]"),
     (f"{SCENE}/capture_io.py", "if strange := find_non_finite(arrays):", "if strange := []:"),
     (f"{POSES}/gate.py", "np.flatnonzero(distance > FAR * usual).tolist() if usual > 0 else []", "[]"),
     (f"{POSES}/gate.py", "if usual > 0 else []", ""),
+    (f"{POSES}/gate.py", "max(ONE_POINT * away, LEAST_EXTENT)", "0.0"),
+    (f"{POSES}/scale.py", "np.rad2deg(np.arcsin(np.sqrt(shared)))) < LEAST_SPREAD_DEG", "np.rad2deg(np.arcsin(np.sqrt(shared)))) < 0"),
+    (f"{POSES}/undistort.py", "np.clip(at[..., 0], 0, self.lens.width - 1)", "at[..., 0]"),
+    (f"{POSES}/undistort.py", "np.clip(at[..., 1], 0, self.lens.height - 1)", "at[..., 1]"),
+    (f"{POSES}/scale.py", "if length <= miss:", "if False:"),
+    (f"{INGEST}/lenses.py", "if (bend := _bend(lens.model, further, radius)) > STRONGEST_BEND:", "if (bend := 0.0):"),
+    (f"{INGEST}/lenses.py", "if not SHORTEST_FOCAL * longest <= min(focal) <= max(focal) <= LONGEST_FOCAL * longest:", "if min(focal) <= 0:"),
+    (f"{INGEST}/carry.py", " and low <= value <= high", ""),
+    (f"{INGEST}/carry.py", " and np.isfinite(altitude)", ""),
     (f"{POSES}/normalise.py", "origin = np.median(centres, 0)", "origin = np.zeros(3)"),
     (f"{POSES}/model.py", "round_to_digits(pose[:, :3], 1.0)", "round_to_digits(pose[:, :3], np.abs(pose).max())"),
     (f"{POSES}/model.py", "np.maximum(np.abs(xyz).max(-1, keepdims=True, initial=0.0), 1.0)", "max(np.abs(xyz).max(initial=0.0), 1.0)"),
@@ -168,13 +195,12 @@ BY_HAND = [
     (f"{EXPORT}/texture.py", "sound[[0, -1]] = sound[:, [0, -1]] = False", "pass"),
     (f"{EXPORT}/texture.py", "safe_z = np.where(inside, z, 1.0)", "safe_z = z"),
     (f"{EXPORT}/texture.py", "np.minimum(apart / (2 * AGREEMENT**2), 30.0)", "apart / (2 * AGREEMENT**2)"),
-    (f"{EXPORT}/texture.py", "if known.any():", "if True:"),
+    (f"{EXPORT}/texture.py", "np.maximum(agreed.sum(0), 1e-30)[:, None]\n        away", "np.maximum(agreed.sum(0), 1e-12)[:, None]\n        away"),
     (f"{EXPORT}/atlas.py", "size, PADDING", "size, 0"),
     (f"{EVALUATION}/methods.py", "~np.isfinite(values)", "np.isnan(values)"),
     (f"{EVALUATION}/bench.py", "return not any(counts.values())", "return True"),
     (f"{EVALUATION}/protocols.py", "sum(map(math.isnan, found))", "0"),
-    (f"{ORCHESTRATOR}/budget/choice.py", "max(0.0, spare)", "spare"),
-    (f"{ORCHESTRATOR}/budget/choice.py", "min(1.0, max(0.0, spare) / planned)", "max(0.0, spare) / planned"),
+    (f"{ORCHESTRATOR}/budget/choice.py", "min(1.0, spare / planned)", "spare / planned"),
     (f"{ORCHESTRATOR}/budget/choice.py", "max(pace, spent / planned) if planned else pace", "max(pace, spent / planned)"),
     (f"{ORCHESTRATOR}/budget/choice.py", " or float(parts[1]) == 0", ""),
     (f"{ORCHESTRATOR}/study/points.py", "(other.stages[stage].held_out_psnr or 0.0)", "other.stages[stage].held_out_psnr"),
@@ -182,6 +208,8 @@ BY_HAND = [
     (f"{EFFECTS}/gains.py", "np.maximum(weight.sum(1), 1e-12)", "weight.sum(1)"),
     (f"{EFFECTS}/gains.py", "(np.median(gains[told]) if told.any() else 0.0)", "np.median(gains[told])"),
     (f"{EFFECTS}/gains.py", ' if total > 0 else float("nan")', ""),
+    (f"{EFFECTS}/gains.py", "np.maximum(count, 1)\n", "count\n"),
+    (f"{EFFECTS}/evidence.py", "min(2, count - 1)", "2"),
     (f"{EFFECTS}/evidence.py", "(energy[:, 0] + 1e-6) / (energy[:, 1] + 1e-6)", "energy[:, 0] / energy[:, 1]"),
     (f"{EFFECTS}/intervals.py", "folds = folds[np.isfinite(folds)]", "folds = folds[:]"),
     (f"{EFFECTS}/intervals.py", "if len(folds) < 2:", "if False:"),
@@ -197,9 +225,6 @@ BY_HAND = [
 ]
 # fmt: on
 EXPLAINED = {
-    "volume.py: ((half - before) / within).clamp_(0, 1) -> ((half - before) / within)": (
-        "the search finds the interval that holds the half: only rounding leaves [0, 1], by an ulp"
-    ),
     "samplers.py: torch.expm1(-h) -> (torch.exp((-h)) - 1)": (
         "what it multiplies is added to numbers of about 1, whose own rounding is as large as the digits that are lost"
     ),
@@ -214,13 +239,14 @@ Calls = dict[str, list[str]]
 
 @dataclass(frozen=True)
 class Mutant:
-    """A change of one source file: `before` at `offset` becomes `after`."""
+    """A change of one source file: `before` at `offset` becomes `after`; the nth such change of the file."""
 
     file: str
     line: int
     before: str
     after: str
     offset: int
+    nth: int = 0
 
     @property
     def function(self) -> str:
@@ -234,7 +260,8 @@ class Mutant:
 
     @property
     def identity(self) -> tuple[str, str, str, int]:
-        return self.file, self.before, self.after, self.line
+        """What stays the same when other lines of the file come and go."""
+        return self.file, self.before, self.after, self.nth
 
     @property
     def name(self) -> str:
@@ -249,7 +276,21 @@ def find_mutants() -> list[Mutant]:
         if (offset := text.find(before)) < 0:
             raise ValueError(f"{file} no longer has {before!r}; bring the list up to date")
         found.append(Mutant(file, text.count("\n", 0, offset) + 1, before, after, offset))
-    return found
+    return _number(found)
+
+
+def _number(mutants: list[Mutant]) -> list[Mutant]:
+    seen: Counter[tuple[str, str, str]] = Counter()
+    numbered: list[Mutant] = []
+    for mutant in mutants:
+        change = mutant.file, mutant.before, mutant.after
+        numbered.append(replace(mutant, nth=seen[change]))
+        seen[change] += 1
+    return numbered
+
+
+def _of_row(row: dict[str, Any]) -> Mutant:
+    return Mutant(row["file"], row["line"], row["before"], row["after"], 0)
 
 
 def _by_pattern(file: str) -> Iterator[Mutant]:
@@ -273,8 +314,8 @@ def _without_guard(node: ast.AST, text: str) -> str | None:
         return None
     name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
     constant = [isinstance(a, ast.Constant) for a in node.args]
-    if name in ("clamp", "clamp_") and isinstance(node.func, ast.Attribute):
-        of_module = isinstance(node.func.value, ast.Name) and node.func.value.id == "torch"
+    if name in ("clamp", "clamp_", "clip") and isinstance(node.func, ast.Attribute):
+        of_module = isinstance(node.func.value, ast.Name) and node.func.value.id in ("torch", "np")
         return source(node.args[0] if of_module else node.func.value)
     if name == "expm1":
         return f"(torch.exp({source(node.args[0])}) - 1)"
@@ -395,7 +436,7 @@ def main() -> None:
     options = parser.parse_args()
     mutants = find_mutants()
     known = json.loads(options.out.read_text())["rows"] if options.out.exists() else []
-    rows = {(row["file"], row["before"], row["after"], row["line"]): row for row in known}
+    rows = {mutant.identity: row for mutant, row in zip(_number([_of_row(row) for row in known]), known, strict=True)}
     chosen = [m for m in mutants if re.search(options.only, f"{m.file} {m.name}")]
     chosen = [m for m in chosen if not (options.missing and m.identity in rows)]
     if options.list:
@@ -409,9 +450,11 @@ def main() -> None:
         alive, seconds = survives(mutant, calls)
         said = "SURVIVED" if alive else "killed"
         print(f"{number + 1}/{len(chosen)} {said} {seconds:.0f} s {mutant.name}", flush=True)
-        row = {k: v for k, v in asdict(mutant).items() if k != "offset"} | {"survived": alive}
+        row = {k: v for k, v in asdict(mutant).items() if k not in ("offset", "nth")} | {"survived": alive}
         rows[mutant.identity] = row | ({"explanation": EXPLAINED.get(mutant.name, "")} if alive else {})
-        write_table(options.out, [rows[m.identity] for m in mutants if m.identity in rows], len(mutants))
+        write_table(
+            options.out, [rows[m.identity] | {"line": m.line} for m in mutants if m.identity in rows], len(mutants)
+        )
 
 
 def write_table(out: Path, rows: list[dict[str, Any]], mutants: int) -> None:

@@ -113,6 +113,7 @@ def test_a_fit_that_masks_are_made_of_keeps_the_fewest_steps_that_were_measured(
 @pytest.mark.parametrize(("spent", "pace"), [(180.0, 2.0), (45.0, 1.0), (0.0, 1.0)])
 def test_the_pace_is_learnt_from_what_is_done_and_never_made_faster(spent, pace):
     assert learn_pace(1.0, COSTS, spent, ("pretrain", "masks")) == pace
+    assert learn_pace(pace, COSTS, spent, ()) == pace  # nothing was planned of what took so long
 
 
 def test_a_points_settings_are_those_of_its_command():

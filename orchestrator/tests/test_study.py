@@ -47,6 +47,12 @@ def test_a_point_ends_early_where_another_was_faster_and_clearly_better(cpu_s, p
     assert is_beaten(point("x", cpu_s, psnr), [point("a", 10, 25.0)], "join", 0.5) is beaten
 
 
+def test_points_without_a_figure_neither_end_others_nor_are_ended():
+    assert not is_beaten(point("x", 20, None), [point("a", 10, 25.0)], "join", 0.5)
+    assert not is_beaten(point("x", 20, 25.0), [point("a", 10, 25.0)], "mask-authoring", 0.5)
+    assert not is_beaten(point("x", 20, 24.0), [point("a", 10, None)], "join", 0.5)
+
+
 def test_points_of_other_frames_do_not_end_each_other():
     """Held-out pixels of smaller frames are other pixels, and score higher."""
     small = point("a", 10, 28.0, command="inpaint3d run C --set pose-estimation.output_longest_side=320")

@@ -10,19 +10,22 @@ from safetensors.numpy import load_file, save_file
 
 from inpaint3d.contracts.errors import ArtifactError, BadInputError, ConfigurationError
 from inpaint3d.contracts.kit.context import Context
+from inpaint3d.contracts.models.artifacts import PaintedView, PaintedViews
 from inpaint3d.contracts.models.canonical import canonical_json
+from inpaint3d.contracts.store import FolderStore
 from inpaint3d.scene.capture_io import load_points, write_points
 from inpaint3d.scene.finite import find_non_finite
-from inpaint3d.scene.image_io import read_image, read_mask, write_png
+from inpaint3d.scene.image_io import read_image, read_mask, read_opaque, write_png
 from inpaint3d.scene.map_io import write_exr
+from inpaint3d.scene.paintings import read_painting
 from inpaint3d.scene.synthetic import synthetic_scene
 from tests.stability.catalogue import hard_case
 
 FILES = "Files"
 
 
-def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = ()) -> None:
-    """An EXR of any numbers, as other programs write them; ours refuses to write what is not finite."""
+def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = (), **attributes: str) -> None:
+    """An EXR or TIFF of any numbers, as other programs write them; ours refuses to write what is not finite."""
     import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 
     h, w, c = pixels.shape
@@ -30,6 +33,8 @@ def write_float(path: Path, pixels: np.ndarray, channels: Sequence[str] = ()) ->
     spec = oiio.ImageSpec(w, h, c, oiio.FLOAT)
     if channels:
         spec.channelnames = tuple(channels)
+    for name, value in attributes.items():
+        spec.attribute(f"oiio:{name}", value)
     output.open(str(path), spec)
     output.write_image(np.ascontiguousarray(pixels, np.float32))
     output.close()
@@ -56,11 +61,11 @@ def test_masks_that_are_not_finite(tmp_path: Path, value: float, everywhere: boo
     FILES,
     plain="linear light in other units is clipped: 94 % white, or black, without a word",
     ours="refused with the range that was found",
-    swept="light of 1e-6 to 1e6 times the usual; NaN and inf in one pixel",
+    swept="light of 1e-6 to 1e6 times the usual, negative light; NaN and inf in one pixel",
     told="`PATH holds linear light from 0.5 to 900, and 94% of it is white; export it in units in which white is 1` "
     "(exit code 3)",
 )
-@pytest.mark.parametrize("scale", [1e-6, 1e-4, 0.05, 1.0, 1.5, 50.0, 1e6, math.nan, math.inf])
+@pytest.mark.parametrize("scale", [1e-6, 1e-4, 0.05, 1.0, 1.5, 50.0, 1e6, -1.0, math.nan, math.inf])
 def test_linear_light_in_other_units(tmp_path: Path, scale: float) -> None:
     light = np.random.default_rng(0).random((16, 16, 3)) * 0.9
     if math.isfinite(scale):
@@ -73,6 +78,47 @@ def test_linear_light_in_other_units(tmp_path: Path, scale: float) -> None:
     else:
         with pytest.raises(BadInputError, match=r"p\.exr (holds linear light from|has 1 pixels that are not finite)"):
             read_image(tmp_path / "p.exr")
+
+
+@hard_case(
+    FILES,
+    plain="NaN > 0.5 is False: what has an alpha of NaN is transparent, no evidence",
+    ours="refused with the count",
+    swept="NaN, inf in one pixel and in all",
+    told="`PATH has COUNT pixels whose alpha is not finite; export it again without them` (exit code 3)",
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_alpha_that_is_not_finite(tmp_path: Path, value: float, everywhere: bool) -> None:
+    picture = np.ones((8, 8, 4))
+    picture[slice(None) if everywhere else 3, 2:4, 3] = value
+    write_float(tmp_path / "p.exr", picture, "RGBA")
+    with pytest.raises(BadInputError, match=rf"p.exr has {16 if everywhere else 2} pixels whose alpha is not finite"):
+        read_opaque(tmp_path / "p.exr")
+
+
+@hard_case(
+    FILES,
+    plain="paint of NaN or of other units reaches every pixel that the completion takes from it",
+    ours="refused, under the name that the file has in the user's folder",
+    swept="NaN, inf and light of 1e6 in a painted picture, in its mask",
+    told="`pictures/a.exr has COUNT pixels that are not finite; export it again without them` (exit code 3)",
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e6])
+@pytest.mark.parametrize("file", ["pictures/a.exr", "masks/a.exr"])
+def test_paintings_that_are_not_finite(tmp_path: Path, value: float, file: str) -> None:
+    store = FolderStore(tmp_path / "store")
+    folder = store.private_folder()
+    for path in ("pictures/a.exr", "masks/a.exr"):
+        (folder / path).parent.mkdir()
+        write_float(folder / path, np.full((8, 8, 3), value if path == file else 0.75))
+    view = PaintedView(name="a", picture="pictures/a.exr", mask="masks/a.exr")
+    painted = store.open(store.put(folder, "painted-views", PaintedViews(views=(view,))), PaintedViews)
+    if file == "masks/a.exr" and value == 1e6:
+        assert read_painting(painted, view).mask.all()
+        return
+    with pytest.raises(BadInputError, match=rf"^(mask )?{file} (has 64 pixels that are not finite|holds linear light)"):
+        read_painting(painted, view)
 
 
 def test_black_linear_pictures_are_pictures(tmp_path: Path) -> None:
@@ -115,6 +161,50 @@ def test_points_that_are_not_finite(tmp_path: Path, value: float, name: str) -> 
     save_file(arrays, tmp_path / "p.safetensors")
     with pytest.raises(ArtifactError, match=rf"not finite: {name} \(1, the first at \[{len(arrays[name]) - 1}"):
         load_points(tmp_path / "p.safetensors")
+
+
+@hard_case(
+    FILES,
+    plain="-1 as a view is the last one, offsets beyond the end are an error of numpy, tracks of others count as own",
+    ours="tracks are divided among the points, or refused",
+    swept="a view of -1, offsets that fall, end early, late, or are one too few; colours of fewer points",
+    told="`PATH: COUNT sightings of views from -1 on do not fall to COUNT points by track_offsets ...; run "
+    "pose-estimation` (exit code 3)",
+)
+@pytest.mark.parametrize("broken", ["view", "fall", "early", "late", "few", "colours"])
+def test_tracks_of_other_points(tmp_path: Path, broken: str) -> None:
+    path = tmp_path / "p.safetensors"
+    write_points(path, synthetic_scene(views=3).points)
+    arrays = load_file(path)
+    offsets = arrays["track_offsets"]
+    if broken == "view":
+        arrays["track_frame"][2] = -1
+    elif broken == "fall":
+        offsets[1:3] = offsets[2:0:-1].copy()
+    elif broken in ("early", "late"):
+        offsets[-1] += 1 if broken == "late" else -1
+    else:
+        name = "track_offsets" if broken == "few" else "rgb"
+        arrays[name] = arrays[name][1:]
+    save_file(arrays, path)
+    with pytest.raises(ArtifactError, match=r"p\.safetensors: \d+ sightings of views from -?\d on do not fall to"):
+        load_points(path)
+
+
+def test_codes_of_floats_are_colours_of_a_picture(tmp_path: Path) -> None:
+    """Files of floats that say that they are sRGB may overshoot."""
+    pixels = np.full((4, 4, 3), 1.5)
+    pixels[0] = -0.5
+    write_float(tmp_path / "p.tif", pixels, ColorSpace="sRGB")
+    found = read_image(tmp_path / "p.tif")
+    assert (found[0] == 0).all()
+    assert (found[1:] == 1).all()
+
+
+def test_no_points_are_points(tmp_path: Path) -> None:
+    points = synthetic_scene(views=3).points
+    write_points(tmp_path / "p.safetensors", points.select(np.zeros(len(points), bool)))
+    assert len(load_points(tmp_path / "p.safetensors")) == 0
 
 
 @hard_case(

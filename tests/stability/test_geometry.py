@@ -1,6 +1,7 @@
 """Cameras, poses and points that are degenerate, far away or of another size."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import Registration
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.geometry import Similarity, nearest_point_to_axes, ray_box, ray_sphere, rotation_between
+from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.masked_views import MaskedView
 from inpaint3d.scene.normals import normals_of
 from inpaint3d.scene.reprojection import correspondences, sample_bilinear, warp_image
 from inpaint3d.scene.windows import choose_fixed_windows, draw_window
+from inpaint3d.stages.capture_ingest.lenses import StatedLens, fit_camera
 from inpaint3d.stages.pose_estimation.gate import check_spread
 from inpaint3d.stages.pose_estimation.model import round_points, round_pose, round_to_digits
 from inpaint3d.stages.pose_estimation.normalise import find_local_frame, normalise
@@ -101,6 +104,24 @@ def test_rays_against_volumes(away: float, radius: float) -> None:
     assert hit
     assert float(high - low) == pytest.approx(1, rel=1e-6, abs=1e-6)
     assert ray_sphere([0, 0, 0], [0, 1, 0], [0, 0, 0], radius)[0] == 0
+
+
+@hard_case(
+    REPROJECTION,
+    plain="r^2 beyond 1e308 is an error of Python, or inf - inf: a mask request of such a sphere ends a run",
+    ours="a sphere of any size holds all or nothing; the mask of all or of nothing is refused",
+    swept="radii of 1e-300 to 1e300 around the ray's origin, and 1e300 away",
+    told="`the sphere mask is in none of the N views; move or enlarge it ...`, `... covers 100.0% of the views' pixels "
+    "...; make it smaller ...` (exit code 2)",
+)
+@pytest.mark.parametrize("radius", [1e-300, 1e-150, 1e100, 1e160, 1e300])
+def test_spheres_of_any_size(radius: float) -> None:
+    near, far, hit = ray_sphere([0, -1, 0], [0, 1, 0], [0, 0, 0], radius)
+    assert hit
+    assert near == (0 if radius > 1 else 1)
+    assert far >= 1
+    assert not ray_sphere([0, 0, 0], [0, 1, 0], [1e300, 0, 0], min(radius, 1e290))[2]
+    assert not ray_sphere([0, 0, 0], [0, 1, 0], [0, -1e300, 0], 1.0)[2]
 
 
 @hard_case(
@@ -193,6 +214,56 @@ def test_a_far_camera(times: float) -> None:
     else:
         with pytest.raises(BadInputError, match=r"stand those of frame_4 .\d+ times as far"):
             check_spread(poses[:, :, 3], names)
+
+
+@hard_case(
+    POSES,
+    plain="a focal length of 1e-6, a k1 of 1e6: all rays are one, and agree with any pose; another slip is named",
+    ours="refused by the angle of view, and by how far the lens moves the picture's corner",
+    swept="focal lengths 1e-6 to 1e9 of a picture of 160 px; k1, k2, p1 of -100 to 1e300, perspective and fisheye",
+    told="`DOCUMENT: the camera of PICTURE has the focal length 1e-06; for 160x120 pixels it is 8 to 800000; ...` "
+    "(exit code 3)",
+)
+@pytest.mark.parametrize(
+    ("focal", "bends", "sound"),
+    [
+        (1e-6, (), False), (1.0, (), False), (9.0, (), True), (152.0, (), True), (7e5, (), True), (1e6, (), False),
+        (1e9, (), False), (152.0, (-0.3, 0.1), True), (152.0, (-100.0,), False), (152.0, (1e3,), False),
+        (152.0, (1e300,), False), (152.0, (0.0, -1e3), False), (152.0, (0.0, 0.0, 1e4), False),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
+def test_lenses_that_there_are_not(
+    tmp_path: Path, focal: float, bends: tuple[float, ...], sound: bool, model: str
+) -> None:
+    write_png(tmp_path / "a.png", np.zeros((120, 160, 3)))
+    further = (*bends, 0.0, 0.0, 0.0, 0.0)[:4]
+    lens = StatedLens(model, (focal, focal, 80.0, 60.0, *further), (160, 120))
+    if sound:
+        assert fit_camera(tmp_path / "a.png", lens, ring()[0], "poses.json").params == lens.params
+        return
+    what = "focal length" if focal != 152 else "distortion"
+    with pytest.raises(BadInputError, match=rf"^poses\.json: the camera of a\.png has the {what} .*export it again"):
+        fit_camera(tmp_path / "a.png", lens, ring()[0], "poses.json")
+
+
+@hard_case(
+    POSES,
+    plain="cameras that float64 cannot tell apart: `matches contradict them`, as if their order were wrong",
+    ours="refused by the extent, against the distance from the origin",
+    swept="12 cameras 0, 1e-320 to 1e-6 apart, at 0, 1e6 and 1e9",
+    told="`all 12 cameras stand within 1e-09 of each other, 1e+06 from the origin: in one point, from which no depth "
+    "can be told; check their positions, or set pose-estimation.cameras=estimate ...` (exit code 3)",
+)
+@pytest.mark.parametrize("away", [0.0, 1e6, 1e9])
+@pytest.mark.parametrize("extent", [0.0, 1e-320, 1e-200, 1e-12, 1e-6])
+def test_cameras_in_one_point(away: float, extent: float) -> None:
+    centres, names = extent * ring()[:, :, 3] + away, [f"view_{i}" for i in range(12)]
+    if extent > max(1e-13 * away, 1e-100):
+        check_spread(centres, names)
+        return
+    with pytest.raises(BadInputError, match=r"all 12 cameras stand within .* in one point"):
+        check_spread(centres, names)
 
 
 @hard_case(

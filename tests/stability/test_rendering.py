@@ -126,6 +126,39 @@ def test_broken_rays_are_not_empty(value: float, at: int) -> None:
 
 
 @hard_case(
+    RENDERING,
+    plain="w of less than an ulp of the sum before it: (half - before) / w is 1.7, a depth beyond its interval",
+    ours="the share of an interval is bounded by it",
+    swept="sums of 2^-40 to 2^20 before an interval of 0.6 ulp, lengths 1 and 1e6",
+)
+@pytest.mark.parametrize("before", [2.0**-40, 0.25, 2.0**20])
+@pytest.mark.parametrize("length", [1.0, 1e6])
+def test_half_of_the_opacity_lies_in_its_interval(before: float, length: float) -> None:
+    ulp_of = before * torch.finfo(torch.float32).eps
+    weights = torch.tensor([[before, 0.6 * ulp_of, before + ulp_of]])
+    found = median_distance(weights, torch.tensor([[1.0, 2.0, 2.0 + length, 3.0 + length]]), 1e9, 0.0)
+    assert float(found) == 2 + length
+
+
+@hard_case(
+    SAMPLING,
+    plain="63 + jitter rounds to 64 for jitter > 1 - 2e-6: 0 / 0 in a last interval without mass",
+    ours="gaps of 0 are no divisors",
+    swept="the largest jitter below 1, 2 to 512 new intervals, no mass in the last old ones",
+)
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("count", [2, 64, 512])
+def test_the_last_stratum_is_full(backend: str, count: int) -> None:
+    jitter = torch.full((1, count), 1 - 2.0**-24)
+    drawn = backend_of(backend).resample(
+        torch.linspace(0, 1, 5)[None], torch.tensor([[1.0, 1e3, 0.0, 0.0]]), count, jitter
+    )
+    assert drawn.isfinite().all()
+    assert (drawn.diff() >= 0).all()
+    assert 0 <= drawn.min() <= drawn.max() <= 1
+
+
+@hard_case(
     SAMPLING,
     plain="0 / 0 in the inverse CDF of an empty histogram; ties and one-hot histograms divide by a gap of 0",
     ours="an eps of mass by length; gaps of 0 are no divisors",

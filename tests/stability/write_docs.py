@@ -14,7 +14,7 @@ from tests.stability.catalogue import HardCase
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/stability.md"
-MODULES = ("rendering", "fields", "diffusion", "metrics", "geometry", "files")
+MODULES = ("rendering", "fields", "diffusion", "metrics", "geometry", "files", "parameters")
 
 
 def list_cases() -> Iterator[tuple[str, HardCase, int]]:

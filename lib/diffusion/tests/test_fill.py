@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 import torch
 
 from inpaint3d.diffusion.fill import fill_telea, pyramid_fill
@@ -52,3 +53,12 @@ def test_telea_fills_a_flat_picture_flat_to_two_codes() -> None:
     hole[8:14, 8:14] = True
     # Half a code from rounding the picture, the rest from OpenCV, which rounds down on the way in.
     np.testing.assert_allclose(fill_telea(image, hole), 0.3, rtol=0, atol=2 / 255)
+
+
+@pytest.mark.parametrize("value", [-0.3, 1.2, 3.0])
+def test_colours_beyond_what_a_picture_holds_do_not_wrap_round_in_a_fill_by_codes(value):
+    image, hole = np.full((16, 16, 3), value, np.float32), np.zeros((16, 16), bool)
+    hole[6:10, 6:10] = True
+    filled = fill_telea(image, hole)
+    np.testing.assert_array_equal(filled[hole], np.clip(value, 0, 1))
+    np.testing.assert_array_equal(filled[~hole], np.float32(value))

@@ -1,11 +1,13 @@
 """The native backend against the reference computed in float64, forward and backward."""
 
+import copy
 import importlib
 import inspect
 import itertools
 
 import pytest
 import torch
+from torch.utils import _pytree as pytree
 
 from inpaint3d.radiance import safe
 from inpaint3d.radiance.architecture import levels_of
@@ -95,12 +97,6 @@ def test_hash_encode_differentiates_points_where_they_ask():
     (truth,) = torch.autograd.grad(reference.hash_encode(points, table, levels).square().sum(), points)
     torch.testing.assert_close(grad, truth)
     assert grad.abs().max() > 0
-
-
-def test_hash_encode_in_float64_is_the_reference():
-    levels = levels_of(2, 4, 8, 9)
-    points, table = uniform(10, 3).double(), normal(levels[-1].offset + levels[-1].size, 2).double()
-    assert torch.equal(native.hash_encode(points, table, levels), reference.hash_encode(points, table, levels))
 
 
 def network(*widths):
@@ -412,3 +408,33 @@ def test_adam_changes_a_view_in_place():
     native.adam_step(param[:, :2], torch.ones(6, 2), m[:, :2], v[:, :2], AdamStep(1, 1e-2, 0.9, 0.99, 1e-15))
     torch.testing.assert_close(param[:, :2], truth[:, :2] - 1e-2)
     assert torch.equal(param[:, 2:], truth[:, 2:])
+
+
+LEVELS = levels_of(2, 4, 8, 9)
+ENDS = torch.linspace(0, 1, 7).expand(4, -1).double()
+PARTS = uniform(4, 6).double()
+IN_FLOAT64 = {
+    "hash_encode": (uniform(9, 3).double(), normal(LEVELS[-1].offset + LEVELS[-1].size, 2).double(), LEVELS),
+    "mlp": (normal(6, 5).double(), [weight.double() for weight in network(5, 4, 3)], normal(2, 4).double()),
+    "colours": (normal(6, 3).double(), normal(6, 3, seed=1).double(), normal(2, 6).double()),
+    "composite": (PARTS, uniform(4, 6, 3).double(), ENDS),
+    "resample": (ENDS, PARTS, 5, uniform(4, 5).double()),
+    "interlevel": (ENDS, PARTS, ENDS, PARTS.flip(1)),
+    "unit_cube": (3 * normal(9, 3).double(), True, 1.0),
+    "grid_histogram": (
+        reference.Cells(uniform(8).double(), 2, True, 1.0), normal(4, 3).double(), normal(4, 3, seed=1).double(),
+        ENDS[0], 0.01,
+    ),
+    "grid_learn": (uniform(8).double(), 2, uniform(5, 3).double(), uniform(5).double(), 0.5),
+    "adam_step": (*(uniform(7, seed=k).double() for k in range(4)), AdamStep(2, 0.1, 0.9, 0.99, 1e-8)),
+}  # fmt: skip
+"""What the kernels do not take goes to the reference."""
+
+
+@pytest.mark.parametrize("name", IN_FLOAT64)
+def test_operations_in_float64_are_the_reference(name):
+    assert set(IN_FLOAT64) == set(native.__all__)
+    given, truth = copy.deepcopy((IN_FLOAT64[name], IN_FLOAT64[name]))
+    ours, theirs = getattr(native, name)(*given), getattr(reference, name)(*truth)
+    for a, b in zip(*(pytree.tree_leaves(x) for x in ((ours, given), (theirs, truth))), strict=True):
+        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b

@@ -25,7 +25,7 @@ from inpaint3d.scene.effects import (
 )
 from inpaint3d.scene.effects.description import Description, Finding, decide
 from inpaint3d.scene.effects.evidence import Evidence
-from inpaint3d.scene.effects.gains import fit_folds, fit_gains, measure_rest
+from inpaint3d.scene.effects.gains import explained, fit_folds, fit_gains, measure_rest
 from inpaint3d.scene.synthetic import synthetic_scene
 
 COUNT = 10
@@ -49,6 +49,15 @@ def plain(tmp_path_factory):
 
 def state(module, evidence, forced=None):
     return decide(module.EFFECT, module.measure(evidence), forced or {}).state
+
+
+def test_without_an_order_neighbours_are_the_nearest_views(plain):
+    loose = replace(plain, ordered=False).neighbours
+    for view, others in enumerate(loose.tolist()):
+        away = {k: np.linalg.norm(v.camera.centre - plain.views[view].camera.centre) for k, v in enumerate(plain.views)}
+        assert others == sorted(away, key=away.__getitem__)[1:3]
+    pair = replace(plain, views=plain.views[:2], ordered=False)
+    assert pair.neighbours.tolist() == [[1, 1], [0, 0]]
 
 
 def test_every_module_is_an_effect_and_every_effect_a_module():
@@ -142,11 +151,37 @@ def test_gains_explain_held_out_points_only_where_there_are_gains():
 def test_what_is_left_about_a_points_mean_is_its_variance():
     values = np.random.default_rng(4).normal(0, 0.01, (500, 9))
     assert np.nanmean(measure_rest(values)) == pytest.approx(1e-4, rel=0.1)
-    assert np.isnan(measure_rest(np.array([[1.0, np.nan]])))
+    assert np.isnan(measure_rest(np.array([[1.0, np.nan], [np.nan, np.nan]]))).all()
 
 
 def test_nothing_seen_gives_zeros():
     assert (fit_gains(np.full((3, 4), np.nan)) == 0).all()
+
+
+def test_points_that_nobody_sees_change_no_gain():
+    table = gain_table(np.array([0.0, 0.4, -0.2, 0.1, 0, 0, 0.3]))
+    unseen = np.full((3, table.shape[1]), np.nan)
+    np.testing.assert_allclose(fit_gains(np.concatenate([unseen, table])), fit_gains(table), rtol=0, atol=1e-12)
+
+
+def test_of_no_spread_nothing_is_explained():
+    assert np.isnan(explained(np.zeros(3), np.zeros(3)))
+    gains, _, share = fit_folds(np.full((30, 6), -2.0))
+    assert (gains == 0).all()
+    assert (share.value, share.low, share.high) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("folds", [[], [np.nan], [0.5], [0.5, np.nan, np.inf]])
+def test_a_single_fold_has_no_interval(folds):
+    found = intervals.mean_of_folds(np.array(folds), "")
+    assert (found.value, found.low, found.high) == (0.0, 0.0, 0.0)
+
+
+def test_folds_without_a_figure_do_not_count():
+    some = intervals.mean_of_folds(np.array([0.4, np.nan, 0.6]), "")
+    assert some == intervals.mean_of_folds(np.array([0.4, 0.6]), "")
+    assert some.value == pytest.approx(0.5)
+    assert some.low < 0.4
 
 
 @pytest.mark.parametrize("channels", [(1, 1, 1), (1, 0, -1)])
@@ -183,6 +218,12 @@ def test_what_is_not_finite_does_not_darken_corners(value):
     assert vignetting.fit_slope(values, known) == pytest.approx(0.5)
 
 
+def test_points_at_one_distance_from_the_middle_tell_nothing_of_corners():
+    values = np.random.default_rng(7).normal(0, 1, (50, 4))
+    assert vignetting.fit_slope(values, np.full((50, 4), 0.25)) == 0
+    assert vignetting.fit_slope(np.full((50, 4), np.nan), values) == 0
+
+
 def test_a_lobe_is_told_by_near_views_and_noise_is_not():
     rng = np.random.default_rng(3)
     angle = np.deg2rad(np.arange(31) * 5.9)  # cameras on a half circle round the points
@@ -197,6 +238,12 @@ def test_a_lobe_is_told_by_near_views_and_noise_is_not():
     near, apart = (np.quantile(difference[where], 0.8) for where in (~far, far))
     assert near == pytest.approx(1.2816 * 0.05 * np.sqrt(2), rel=0.1)  # 80 % of |differences| of normal noise
     assert apart == pytest.approx(near, rel=0.1)
+
+
+def test_a_value_without_others_is_predicted_by_nobody():
+    directions = np.broadcast_to(np.eye(3), (20, 3, 3))
+    alone = np.where(np.arange(3) == 1, -2.0, np.nan)
+    assert np.isnan(view_dependence.predict_by_neighbours(np.tile(alone, (20, 1)), directions)).all()
 
 
 def test_a_contracted_cell_is_twice_a_box_of_the_unit_ball_and_finer_than_a_large_one():
@@ -252,6 +299,14 @@ def test_blurred_views_are_named_and_never_too_many(tmp_path):
     assert len(blur.find_blurred(look(tmp_path / "many", images))) <= blur.LARGEST_SHARE * COUNT + 1
 
 
+@pytest.mark.parametrize("grey", [0.0, 0.4])
+def test_bare_surfaces_are_neither_sharp_nor_blurred(tmp_path, grey):
+    evidence = look(tmp_path, np.full_like(ROOM.images, grey))
+    assert np.isfinite(evidence.sharpness).any()
+    np.testing.assert_allclose(evidence.sharpness[np.isfinite(evidence.sharpness)], 0, atol=1e-3)
+    assert blur.find_blurred(evidence) == []
+
+
 def test_brighter_views_are_not_sharper(tmp_path):
     images = srgb_from_linear(linear_from_srgb(ROOM.images) * np.linspace(0.5, 1, COUNT)[:, None, None, None])
     assert state(blur, look(tmp_path, images.astype(np.float32))) == "off"
@@ -280,6 +335,22 @@ def test_matches_that_are_not_finite_tell_nothing_of_rows(plain):
     assert rolling_shutter.measure(replace(plain, residual=broken)).words.startswith("only 499 matches")
 
 
+def test_cameras_that_do_not_move_tell_nothing_of_rows():
+    residual = np.random.default_rng(6).normal(0, 0.2, (600, 5, 2))
+    assert rolling_shutter.fit_readout(residual, np.zeros_like(residual)) == 0
+    assert rolling_shutter.fit_readout(np.full_like(residual, np.nan), residual) == 0
+
+
+def test_points_behind_a_neighbouring_camera_have_no_velocity(plain):
+    """They project to where nothing is seen, mirrored."""
+    camera = plain.views[4].camera
+    turned = replace(camera, world_from_cam=np.concatenate([-camera.rotation, camera.centre[:, None]], 1))
+    views = [*plain.views[:5], replace(plain.views[5], camera=turned), *plain.views[6:]]
+    _, skew = rolling_shutter.list_skews(plain)
+    assert np.isfinite(skew[:, 4]).any()
+    assert np.isnan(rolling_shutter.list_skews(replace(plain, views=views))[1][:, 4]).all()
+
+
 def test_photos_without_an_order_tell_nothing_of_rows(plain):
     assert rolling_shutter.measure(replace(plain, ordered=False)).size is None
 
@@ -302,6 +373,15 @@ def test_a_lens_bends_where_the_corner_moves_and_bic_says_so(errors, corner, dec
     )
     found = lens_distortion.measure(flat, bent, 4000)
     assert decide(lens_distortion.EFFECT, found, {}).state == decided
+
+
+@pytest.mark.parametrize(("simple", "rich"), [(0.0, 0.0), (0.5, 0.0), (1e-9, 1e-300)])
+def test_errors_of_nothing_are_as_good_as_none(simple, rich):
+    """The fit of a made-up capture may be exact; what lies below the rounding of pixels tells nothing."""
+    trials = [lens_distortion.LensTrial("x", 2 * k, e, 1.0) for k, e in enumerate((simple, rich))]
+    found = lens_distortion.bic_gain(*trials, 1000.0)
+    floored = 1000 * np.log(max(simple, 1e-6) / 1e-6) - np.log(1000)
+    assert found == pytest.approx(floored)
 
 
 def test_bic_of_equal_errors_is_the_penalty():

@@ -2,12 +2,14 @@
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from inpaint3d.contracts.errors import BadInputError
+from inpaint3d.contracts.models.artifacts import Exif
 from inpaint3d.scene.image_io import read_header, read_image, write_mask, write_png
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.capture_ingest.carry import carry, fit_mask, read_exif
@@ -216,6 +218,23 @@ def test_exif_focal_is_in_pixels(tmp_path):
     assert exif.focal_px == pytest.approx(40.0)
     assert exif.exposure_s == pytest.approx(0.02, rel=1e-3)  # EXIF keeps a ratio of integers
     assert exif.camera == "M"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 0.0, 1e-30, 1e30])
+def test_what_no_camera_records_is_not_recorded(tmp_path, value):
+    """The square of an aperture of 1e-200 is 0, and an exposure is divided by it."""
+    write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    names = ("Exif:FocalLengthIn35mmFilm", "ExposureTime", "Exif:ISOSpeedRatings", "FNumber")
+    header = replace(read_header(tmp_path / "a.png"), exif=dict.fromkeys(names, value))
+    assert read_exif(header, 60, 40) == Exif()
+
+
+@pytest.mark.parametrize(("altitude", "told"), [(431.5, 431.5), (np.nan, 0.0), (np.inf, 0.0), (-np.inf, 0.0)])
+def test_a_height_that_is_none_is_not_told(tmp_path, altitude, told):
+    write_png(tmp_path / "a.png", np.zeros((4, 4, 3)))
+    place = {"GPS:Latitude": (47.0, 30.0, 0.0), "GPS:Longitude": (8.0, 15.0, 0.0), "GPS:Altitude": altitude}
+    header = replace(read_header(tmp_path / "a.png"), exif=place)
+    assert read_exif(header, 60, 40).position == (47.5, 8.25, told)
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,11 @@ def test_a_wall_has_no_spread_of_depth_and_fog_that_of_an_exponential(store):
     assert method(store, "fog", 2.0).depth_spread(view, view.hole, 64) == pytest.approx(0.5 / 0.55, rel=0.1)
 
 
+def test_where_no_light_stops_depth_has_no_spread(store):
+    view = photo("a", 0.0)
+    assert method(store, "nothing", 0.0).depth_spread(view, view.hole, 64) == 0
+
+
 def test_a_painted_wall_looks_the_same_from_the_next_view(store):
     """Its colours differ by what bilinear sampling loses; a second paint in the hole of one view would show."""
     bench = Bench([method(store, "wall")], Config(), tick=lambda message: None)

@@ -142,3 +142,14 @@ def test_a_thing_before_the_open_sky_is_found_where_the_sky_has_no_depth(own):
     view = DepthView("view", camera, depth, lambda: picture)
     found = segment(view, Prompts(np.array([[32.0, 24.0], [28.5, 24.5]]), np.zeros((0, 2))), rounds=2, seed=0)
     assert iou(found, disc) > 0.9
+
+
+def test_a_field_without_a_surface_has_no_planes():
+    """Within a tolerance of 0 lies nothing, not even what is flat to the bit."""
+    camera = Camera(40, 40, 16, 12, 32, 24, look_at((0, -2, 1), (0, 0, 0)))
+    nothing = DepthView("a", camera, np.full((24, 32), np.inf), lambda: np.zeros((24, 32, 3), np.float32))
+    flat = np.random.default_rng(0).uniform(-1, 1, (500, 3)).astype(np.float32) * (1, 1, 0)
+    assert find_planes(flat.astype(np.float32), [nothing]) == []
+    surface = DepthView("a", camera, np.full((24, 32), 2.0), nothing.image)
+    assert len(find_planes(flat.astype(np.float32), [surface])) == 1
+    assert find_planes(np.zeros((0, 3), np.float32), [surface]) == []

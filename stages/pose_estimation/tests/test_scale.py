@@ -1,5 +1,7 @@
 """The scale of the world, told by what was measured in it: exact scenes at a known number of metres per unit."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pycolmap
@@ -94,6 +96,29 @@ def test_clicks_on_a_view_that_is_not_there_are_refused(ctx, tmp_path):
         scale_of(frames(), Config(distance=distance), ctx, tmp_path)
 
 
+@pytest.mark.parametrize("other", [0.0, 1e-9, 1e-4])
+def test_views_from_one_place_tell_no_distance(ctx, tmp_path, other):
+    ends = [CAMERAS[0].project(np.array(end))[0] for end in ((0.3, 0.1, 0.0), (-0.5, 0.2, 0.1))]
+    beside = replace(MODEL, world_from_cam=MODEL.world_from_cam.copy())
+    beside.world_from_cam[1] = MODEL.world_from_cam[0]
+    beside.world_from_cam[1, 0, 3] += other
+    taken = frames()
+    click = ((ends[0][0], ends[0][1]), (ends[1][0], ends[1][1]))
+    distance = Distance(metres=1.0, pixels={"f_0": click, "f_1": click})
+    with pytest.raises(
+        BadInputError, match=r"distance\.pixels of f_0, f_1: 2 views see a point along rays that spread"
+    ):
+        find_scale(capture(tmp_path, taken), taken, beside, Config(distance=distance), ctx)
+
+
+def test_one_point_clicked_twice_tells_no_distance(ctx, tmp_path):
+    clicks = [tuple(CAMERAS[view].project(np.array([0.3, 0.1, 0.0]))[0]) for view in (0, 2, 4)]
+    pixels = {f"f_{view}": (click, click) for view, click in zip((0, 2, 4), clicks, strict=True)}
+    distance = Distance(metres=1.0, pixels=pixels)
+    with pytest.raises(BadInputError, match=r"distance\.pixels of f_0, f_2, f_4: the two points lie .* units apart"):
+        scale_of(frames(), Config(distance=distance), ctx, tmp_path)
+
+
 def marked(camera: Camera, dictionary: int, side: float) -> np.ndarray:
     """A sheet with a marker of this side on the ground, as a camera sees it."""
     code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(dictionary), 3, 200)
@@ -119,9 +144,16 @@ def test_a_marker_of_known_size(ctx, tmp_path, family):
     assert family in found.evidence
 
 
+def test_a_marker_seen_from_one_place_is_refused(ctx, tmp_path):
+    still = replace(MODEL, world_from_cam=np.stack([MODEL.world_from_cam[0]] * 6))
+    taken, pictures = frames(), [marked(CAMERAS[0], cv2.aruco.DICT_4X4_50, 0.8)] * 6
+    with pytest.raises(BadInputError, match=r"seen in two views that stand apart \(1 are seen\)"):
+        find_scale(capture(tmp_path, taken, pictures), taken, still, Config(marker=Marker(side_m=0.1)), ctx)
+
+
 def test_a_marker_that_is_not_there_is_refused(ctx, tmp_path):
     blank = [np.full((240, 320, 3), 90, np.uint8)] * 6
-    with pytest.raises(BadInputError, match="no marker of DICT_4X4_50 is seen in two views"):
+    with pytest.raises(BadInputError, match="no marker of DICT_4X4_50 is seen in two views that stand apart"):
         scale_of(frames(), Config(marker=Marker(side_m=0.1)), ctx, tmp_path, blank)
 
 

@@ -70,6 +70,19 @@ def test_a_lens_that_bends_inwards_leaves_corners_without_pixels():
     assert valid[45, 60]
 
 
+@pytest.mark.parametrize("side", [120, 60])
+def test_what_lies_beyond_a_masks_border_is_as_its_border(side):
+    """A cushion's corners are seen from outside of the captured picture."""
+    flat = Undistorter(CUSHION, side)
+    assert flat.mask(np.ones((90, 120), bool)).all()
+    left = flat.mask(np.arange(120)[None] < np.full((90, 1), 30))
+    assert left[:, 0].all()
+    assert not left[:, -1].any()
+    top = flat.mask(np.arange(90)[:, None] < np.full((1, 120), 30))
+    assert top[0].all()
+    assert not top[-1].any()
+
+
 def test_masks_follow_their_pictures():
     flat = Undistorter(BARREL, 60)
     mask = ramp()[..., 0] > 0.4

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -118,6 +120,60 @@ def test_unusable_pixels_and_backs_paint_nothing():
     turned = Mesh(mesh.vertices, mesh.triangles[:, ::-1])
     behind = look(turned, Caster(turned.vertices, turned.triangles), picture)
     assert not paint(turned, find_texels(unwrap(turned, SIZE), SIZE), [behind])[1].any()
+
+
+def test_a_picture_has_no_say_at_its_edges():
+    """What lies there is seen in part; between pictures it would be a seam."""
+    mesh = wall()
+    near = Camera(90, 90, 64, 64, 128, 128, look_at((0, -0.5, 0), (0, 0, 0)))  # the wall goes on beyond the picture
+    sight = look(mesh, Caster(mesh.vertices, mesh.triangles), replace(picture_of_the_wall(), camera=near))
+    assert (sight.depth > 0).all()
+    assert (sight.say[[0, -1]] == 0).all()
+    assert (sight.say[:, [0, -1]] == 0).all()
+    assert (np.diff(sight.say[64, :9]) > 0).all()
+    assert sight.say[64, 64] == 1
+
+
+def test_points_on_a_cameras_plane_are_not_seen_by_it():
+    mesh = wall()
+    beside = Camera(90, 90, 64, 64, 128, 128, look_at((0.9, 0, 0), (0.9, -1, 0)))  # all of the wall at depth 0
+    before = look(mesh, Caster(mesh.vertices, mesh.triangles), picture_of_the_wall())
+    sights = [before, replace(before, picture=replace(before.picture, camera=beside))]
+    texels = find_texels(unwrap(mesh, SIZE), SIZE)
+    both, alone = (paint(mesh, texels, some) for some in (sights, sights[:1]))
+    assert both[1].any()
+    for a, b in zip(both, alone, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("away", [1.0, 30.0, 1000.0])
+def test_pictures_of_opposite_colours_have_an_equal_say(away):
+    """Neither agrees with their mean: both must not lose all their weight, however far the surface is."""
+    mesh = wall()
+    mesh = Mesh(away * mesh.vertices, mesh.triangles)
+    texels = find_texels(unwrap(mesh, SIZE), SIZE)
+    caster = Caster(mesh.vertices, mesh.triangles)
+    camera = Camera(90, 90, 64, 64, 128, 128, look_at((0, -1.2 * away, 0.1 * away), (0, 0, 0)))
+    colours = [np.full((128, 128, 3), value, np.float32) for value in (0, 1)]
+    sights = [look(mesh, caster, Picture(camera, colour, np.ones((128, 128), bool))) for colour in colours]
+    colour, known = paint(mesh, texels, sights)
+    np.testing.assert_allclose(colour[known], 0.5, rtol=0, atol=1e-3)
+
+
+def test_charts_lie_apart_by_more_than_a_filters_footprint():
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    box = Mesh(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    atlas = unwrap(box, 64)
+    texels = find_texels(atlas, 64)
+    assert atlas.charts > 1
+    # On its own chart a texel's neighbours in the texture are its neighbours on the box.
+    points = np.einsum("nc,ncd->nd", texels.barycentric, box.corners()[texels.triangle])
+    there = np.full((64, 64, 3), np.nan)
+    there[texels.row, texels.column] = points
+    for rows in (there, there.swapaxes(0, 1)):
+        for step in (1, 2):
+            assert np.nanmax(np.linalg.norm(rows[step:] - rows[:-step], axis=-1)) < 0.1 * step
 
 
 def test_what_no_picture_shows_is_grey():

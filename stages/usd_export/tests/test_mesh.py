@@ -102,6 +102,7 @@ def test_contracted_points_come_back():
     points = rng.standard_normal((500, 3)) * 10.0 ** rng.uniform(-3, 1.5, (500, 1))
     inside = contract(points)
     assert np.linalg.norm(inside, axis=1).max() < 2
+    assert (expand(np.zeros((2, 3))) == 0).all()
     np.testing.assert_allclose(expand(inside), points, rtol=1e-9)
     # a short radial step of contracted space, carried out into the scene
     radial = inside / np.linalg.norm(inside, axis=1, keepdims=True)

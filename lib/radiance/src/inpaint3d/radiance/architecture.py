@@ -65,7 +65,7 @@ class Architecture(Closed):
     view_layers: Count = Field(default=2, description="its hidden layers, where the plan has view dependence on (N4)")
     glo: Count = Field(default=4, description="length of the appearance codes, where the plan has exposure on (N6)")
     near_share: Share = Field(default=0.1, description="where rays start, as a share of the capture's centre depth")
-    far: Positive = Field(default=1000.0, description="where rays end in an unbounded scene, scene units")
+    far: Positive = Field(default=1000.0, le=1e6, description="where rays end in an unbounded scene, scene units")
 
 
 class Level(NamedTuple):

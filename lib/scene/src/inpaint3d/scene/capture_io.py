@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,7 +141,9 @@ def load_posed(artifact: PosedFolder) -> list[View]:
 
 
 def load_points(path: Path) -> SparsePoints:
-    """Read `points.safetensors`; ArtifactError where an array is missing, has another shape, or is not finite."""
+    """Read `points.safetensors`; ArtifactError where an array is missing, has another shape, is not finite, or where
+    tracks are not those of the points.
+    """
     try:
         read_safetensors_header(path)
         arrays = load_file(path)
@@ -154,7 +156,25 @@ def load_points(path: Path) -> SparsePoints:
             raise ArtifactError(f"{path}: {name} is {what}, not {np.dtype(dtype)} [n, *{tail}]; run pose-estimation")
     if strange := find_non_finite(arrays):
         raise ArtifactError(f"{path}: numbers that are not finite: {', '.join(map(str, strange))}; run pose-estimation")
+    _check_tracks(arrays, path)
     return SparsePoints(**{name: arrays[name] for name in _POINTS})
+
+
+def _check_tracks(arrays: dict[str, NDArray[Any]], path: Path) -> None:
+    offsets, frames, count = arrays["track_offsets"], arrays["track_frame"], len(arrays["xyz"])
+    ends = offsets.tolist()
+    sound = (
+        ends[:1] == [0]
+        and ends[-1:] == [len(frames)] == [len(arrays["track_xy"])]
+        and bool((np.diff(offsets) >= 0).all())
+        and {len(arrays["rgb"]), len(arrays["error"]), len(offsets) - 1} == {count}
+        and frames.min(initial=0) >= 0
+    )
+    if not sound:
+        raise ArtifactError(
+            f"{path}: {len(frames)} sightings of views from {frames.min(initial=0)} on do not fall to {count} points "
+            f"by track_offsets {ends[:1]} to {ends[-1:]}; run pose-estimation"
+        )
 
 
 def write_points(path: Path, points: SparsePoints) -> None:

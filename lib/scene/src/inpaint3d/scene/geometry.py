@@ -22,7 +22,8 @@ def ray_sphere(
     # Distance of the line from the centre by the perpendicular, not |offset|^2 - along^2: that loses all its digits
     # for a small sphere far away.
     perpendicular = offset - along[..., None] * directions
-    half_squared = radius**2 - np.sum(perpendicular**2, -1)
+    with np.errstate(over="ignore", invalid="ignore"):  # squares beyond 1e308: all is inside, or nothing is met
+        half_squared = np.square(np.float64(radius)) - np.sum(perpendicular**2, -1)
     half = np.sqrt(np.maximum(half_squared, 0.0))
     t_near, t_far = -along - half, -along + half
     hit = (half_squared >= 0) & (t_far > 0)

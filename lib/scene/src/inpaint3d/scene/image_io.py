@@ -115,8 +115,8 @@ def read_stored(path: Path) -> Image | NDArray[np.uint8]:
 
 def _check_units(light: NDArray[Any], path: Path) -> None:
     """Linear light [h, w, 3] is to be 1 where white is: with other units nearly all of a picture is white or black."""
-    white, brightest = float((light >= 1).all(-1).mean()), float(light.max(initial=0.0))
-    if white > MAX_WHITE or 0 < brightest < MIN_LIGHT:
+    white, brightest = float((light >= 1).all(-1).mean()), float(light.max(initial=-np.inf))
+    if white > MAX_WHITE or (brightest < MIN_LIGHT and light.any()):
         raise BadInputError(
             f"{path} holds linear light from {float(light.min()):.3g} to {brightest:.3g}, and {white:.0%} of it is "
             "white; export it in units in which white is 1"
@@ -124,10 +124,18 @@ def _check_units(light: NDArray[Any], path: Path) -> None:
 
 
 def read_opaque(path: Path) -> Mask | None:
-    """Where a picture with an alpha channel is opaque by more than half, bool [h, w], upright; None without one."""
+    """Where a picture with an alpha channel is opaque by more than half, bool [h, w], upright; None without one.
+
+    BadInputError where alpha is not finite.
+    """
     buffer = open_picture(path)
-    alpha = buffer.spec().alpha_channel
-    return None if alpha < 0 else read_pixels(buffer, path)[..., alpha] > MIDDLE
+    channel = buffer.spec().alpha_channel
+    if channel < 0:
+        return None
+    alpha = read_pixels(buffer, path)[..., channel]
+    if strange := int((~np.isfinite(alpha)).sum()):
+        raise BadInputError(f"{path} has {strange} pixels whose alpha is not finite; export it again without them")
+    return alpha > MIDDLE
 
 
 def read_mask(path: Path, size: tuple[int, int] | None = None) -> Mask:

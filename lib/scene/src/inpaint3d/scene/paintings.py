@@ -29,7 +29,17 @@ class Painting:
 
 
 def read_painting(painted: Artifact[PaintedViews], view: PaintedView) -> Painting:
-    """A painted view. BadInputError where its size is not the one asked for, or nothing was painted inside the mask."""
+    """A painted view. BadInputError where it cannot be read, its size is not the one asked for, or nothing was painted
+    inside the mask.
+    """
+    try:
+        return _read_painting(painted, view)
+    except BadInputError as error:
+        # The file to repair is the user's; the store's copy of it is of no use to anybody.
+        raise BadInputError(str(error).replace(f"{painted.root}/", "")) from error
+
+
+def _read_painting(painted: Artifact[PaintedViews], view: PaintedView) -> Painting:
     picture = read_image(painted.path(view.picture))
     size = (picture.shape[1], picture.shape[0])
     file = view.picture.rpartition("/")[2]

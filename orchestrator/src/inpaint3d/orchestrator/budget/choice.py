@@ -133,7 +133,7 @@ def cut_steps(
     spare = seconds * (1 - SPARE / 2) - pace * sum(c.rest_s if n in chosen else c.seconds for n, c in left.items())
     while free:
         planned = pace * sum(left[n].steps_s for n in free)
-        share = min(1.0, max(0.0, spare) / planned) if planned else 1.0
+        share = min(1.0, spare / planned) if planned else 1.0
         held = {n for n in free if steps[n] * share < floors[n]}
         chosen |= {n: floors[n] if n in held else int(steps[n] * share) for n in free}
         if not held:

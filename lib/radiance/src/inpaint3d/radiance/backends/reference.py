@@ -33,7 +33,7 @@ def corners(points: Float[Tensor, "3 n"], level: Level) -> tuple[Int64[Tensor, "
     low = scaled.detach().floor().clamp_(0, level.resolution - 1)
     share = torch.stack([low + 1 - scaled, scaled - low])  # [2, 3, n]
     # A point that is NaN is read at the origin, as a NaN is no number of a cell; its weights still tell what it was.
-    vertex = torch.stack([low, low + 1]).where(low.isfinite(), 0).long()
+    vertex = torch.stack([low, low + 1]).masked_fill(low.isnan(), 0).long()
     weights = share[:, None, None, 2] * share[None, :, None, 1] * share[None, None, :, 0]
     x, y, z = vertex[None, None, :, 0], vertex[None, :, None, 1], vertex[:, None, None, 2]
     if level.dense:

@@ -39,7 +39,7 @@ def measure(evidence: "Evidence") -> Finding:
         return Finding("too few points lie between two views that show them to tell what passes by")
     tiles, gain = find_clusters(misses, hits)
     shares = tiles.mean((1, 2))
-    value, error = float(shares.mean()), float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else 0.0
+    value, error = float(shares.mean()), float(shares.std(ddof=1) / np.sqrt(len(shares)))
     # Of a share that is not 0 the lower end is that of the clusters that are certain: the test below is theirs.
     size = Interval(value=value, low=value if value else 0.0, high=value + 2 * error, unit=EFFECT.unit)
     figures = {"share_of_pixels": value, "views": float((shares > 0).sum()), "largest_share": float(shares.max())}

@@ -136,20 +136,20 @@ def read_exif(header: Header, width: int, height: int) -> Exif:
     """What the camera recorded, as far as it makes sense."""
     values = header.exif
 
-    def number(*names: str) -> float | None:
+    def number(low: float, high: float, *names: str) -> float | None:
         for name in names:
             value = values.get(name)
-            if isinstance(value, (int, float)) and 0 < value < float("inf"):
+            if isinstance(value, (int, float)) and low <= value <= high:
                 return float(value)
         return None
 
-    film = number("Exif:FocalLengthIn35mmFilm")
+    film = number(1, 1e5, "Exif:FocalLengthIn35mmFilm")
     make, model = (str(values.get(k, "")).strip() for k in ("Make", "Model"))
     return Exif(
         focal_px=film / FILM_WIDTH_MM * max(width, height) if film else None,
-        exposure_s=number("ExposureTime", "Exif:ExposureTime"),
-        iso=number("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"),
-        f_number=number("FNumber", "Exif:FNumber"),
+        exposure_s=number(1e-9, 1e6, "ExposureTime", "Exif:ExposureTime"),
+        iso=number(1e-3, 1e8, "Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"),
+        f_number=number(1e-2, 1e4, "FNumber", "Exif:FNumber"),
         camera=f"{make} {model}".strip() or None,
         position=_read_position(values),
     )

@@ -23,6 +23,9 @@ SINGLE_FOCAL = frozenset(["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_R
 ASPECT_TOLERANCE = 0.01
 # Three printed decimals leave a rotation so far from orthonormal.
 ROTATION_TOLERANCE = 5e-3
+# Longest sides of the picture: beyond are angles of view of more than 160 degrees, and of less than a minute.
+SHORTEST_FOCAL, LONGEST_FOCAL = 0.05, 5000.0
+STRONGEST_BEND = 10.0  # of its distance from the middle: so far no lens moves the picture's corner
 FARTHEST_CENTRE = 2.0  # picture sizes from the middle; crops of a larger picture have it outside
 # Upright from stored axes, by EXIF orientation. The others mirror, which no camera does.
 _TURNS = {
@@ -112,12 +115,31 @@ def _check_lens(lens: StatedLens) -> None:
         raise ValueError(f"is for a picture of {lens.size[0]:g}x{lens.size[1]:g} pixels")
     count = 1 if lens.model in SINGLE_FOCAL else 2
     focal, middle = lens.params[:count], lens.params[count : count + 2]
-    if min(focal) <= 0 or max(focal) > 1e9:
-        raise ValueError(f"has the focal length {min(focal):g}; it must be above 0")
+    longest = max(lens.size)
+    if not SHORTEST_FOCAL * longest <= min(focal) <= max(focal) <= LONGEST_FOCAL * longest:
+        wrong = min(focal) if min(focal) < SHORTEST_FOCAL * longest else max(focal)
+        raise ValueError(
+            f"has the focal length {wrong:g}; for {lens.size[0]:g}x{lens.size[1]:g} pixels it is "
+            f"{SHORTEST_FOCAL * longest:g} to {LONGEST_FOCAL * longest:g}"
+        )
     if any(abs(c - size / 2) > FARTHEST_CENTRE * size for c, size in zip(middle, lens.size, strict=True)):
         raise ValueError(
             f"has its principal point at {middle[0]:g}, {middle[1]:g}, far outside {lens.size[0]:g}x{lens.size[1]:g}"
         )
+    radius = float(np.hypot(*lens.size)) / 2 / min(focal)
+    further = lens.params[count + 2 :]
+    if (bend := _bend(lens.model, further, radius)) > STRONGEST_BEND:
+        raise ValueError(
+            f"has the distortion {', '.join(f'{k:g}' for k in further)}, which moves the picture's corner by "
+            f"{bend:.3g} times its distance from the middle"
+        )
+
+
+def _bend(model: str, further: Sequence[float], radius: float) -> float:
+    """How far a lens moves what lies at `radius` (in focal lengths), as a share of it."""
+    radial, tangential = (further[:2], further[2:]) if model == "OPENCV" else (further, ())
+    along = sum(k * radius ** (2 * power) for power, k in enumerate(radial, 1))
+    return abs(along) + 3 * radius * sum(map(abs, tangential))
 
 
 def _check_pose(world_from_cam: ArrayLike) -> np.ndarray:

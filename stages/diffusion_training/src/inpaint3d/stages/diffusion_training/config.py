@@ -68,11 +68,13 @@ class Config(Closed):
     )
     learning_rate: Positive = Field(
         default=8e-4,
+        le=10,
         description="peak of Adam's rate from scratch; 1e-4 in the paper (D13)",
         json_schema_extra={"x-without": "pretrained-prior"},
     )
     fine_tuning_rate: Positive = Field(
         default=3e-4,
+        le=10,
         description="peak of Adam's rate from a pretrained prior",
         json_schema_extra={"x-with": "pretrained-prior"},
     )
@@ -89,7 +91,7 @@ class Config(Closed):
     whole_share: Share = Field(
         default=0.0, description="share of crops that are the largest square of their frame instead (D3)"
     )
-    enlarged: Annotated[float, Field(ge=1)] = Field(
+    enlarged: Annotated[float, Field(ge=1, le=100)] = Field(
         default=1.0, description="by how much a crop may be enlarged; 1.5 in the paper, from 720 rows to 1080 (D2)"
     )
     masks: MaskMix = MaskMix()

@@ -35,6 +35,7 @@ class JointOptimizer(Optimizer):
     )
     warm_start_lr_scale: Positive = Field(
         default=0.3,
+        le=1e3,
         description="share of the learning rates that an initial field gets: at the full rate it forgets what it knows",
         json_schema_extra={"x-with": "initial-field"},
     )

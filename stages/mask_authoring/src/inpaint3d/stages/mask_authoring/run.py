@@ -81,13 +81,13 @@ def request_by_default(views: list[View]) -> MaskRequest:
 
 def check(authored: Authored) -> None:
     """ConfigurationError for a mask that is nowhere, or everywhere."""
+    drawn = "the capture's own masks" if authored.origin == "imported" else "the mask request"
     if not any(m.any() for m in authored.masks):
         raise ConfigurationError(
-            f"the {authored.origin} mask is in none of the {len(authored.masks)} views; "
-            "move or enlarge it in the mask request"
+            f"the {authored.origin} mask is in none of the {len(authored.masks)} views; move or enlarge it in {drawn}"
         )
     if authored.mean_share > TOO_MUCH:
         raise ConfigurationError(
             f"the {authored.origin} mask covers {authored.mean_share:.1%} of the views' pixels (at most {TOO_MUCH:.0%} "
-            "can work); make it smaller in the mask request (an outpainting sphere larger)"
+            f"can work); make it smaller in {drawn} (an outpainting sphere larger)"
         )

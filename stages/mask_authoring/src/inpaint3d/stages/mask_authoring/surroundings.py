@@ -62,8 +62,7 @@ def show_plane(plane: Plane, view: DepthView) -> Bools:
 
 def find_planes(points: NDArray[np.float32], views: Sequence[DepthView]) -> list[Plane]:
     """The planes of a scene's sparse points [n, 3]; none where the field has no surface."""
-    pixel = measure_pixel(views)
-    return fit_planes(points, PLANE_PIXELS * pixel) if pixel and len(points) else []
+    return fit_planes(points, PLANE_PIXELS * measure_pixel(views))
 
 
 def find_surroundings(

@@ -19,6 +19,8 @@ FEW_FEATURES = 100  # a median below which pictures show too little to be told a
 ENOUGH_MATCHES = 50  # of a view with others, before it is judged by them
 BLANK = 4  # features below which a picture shows nothing
 FAR = 10.0  # times as far from the middle camera as half of them: detail is shared out over the cube that they span
+ONE_POINT = 1e-13  # of the distance from the origin: less is float64's own rounding
+LEAST_EXTENT = 1e-100  # its square can still be told from 0
 WALK = "walk sideways between photos, don't turn on the spot"
 ESTIMATE = "set pose-estimation.cameras=estimate to find the cameras from the pictures"
 
@@ -100,12 +102,15 @@ def check_agreement(
     off = f"matches are usually {agreement.median_distance * side:.2f} px off"
     if np.isinf(agreement.median_distance):
         off = "most matches meet behind a camera"
+    least = [v for v in np.argsort(agreement.by_view, kind="stable").tolist() if agreement.by_view[v] < agreement.share]
+    where = f" (least {_shorten([f'{frames[v].name} {agreement.by_view[v]:.0%}' for v in least], 3)})" if least else ""
     slip = f"; {off}, but {repair.median_distance * side:.2f} px {repair.words}" if repair else ""
     if agreement.share < config.min_agreement or repair:
         raise BadInputError(
             f"the cameras that came with the capture contradict its pictures: {agreement.share:.0%} of "
-            f"{agreement.verified.sum() // 2} verified matches agree with them, {config.min_agreement:.0%} are "
-            f"needed{slip}; check the cameras' order, axes and focal length, or {ESTIMATE}"
+            f"{agreement.verified.sum() // 2} verified matches agree with them{where}, "
+            f"{config.min_agreement:.0%} are needed{slip}; check the cameras' order, axes and focal length, "
+            f"or {ESTIMATE}"
         )
     judged = agreement.verified >= ENOUGH_MATCHES
     wrong = np.flatnonzero(judged & (agreement.by_view < config.min_view_agreement)).tolist()
@@ -118,9 +123,14 @@ def check_agreement(
 
 
 def check_spread(centres: NDArray[np.float64], names: list[str]) -> None:
-    """BadInputError where a camera [n, 3] stands so far off that the scene would shrink to a dot."""
+    """BadInputError where a camera [n, 3] stands so far off that the scene would shrink to a dot, or all in a point."""
     distance = np.linalg.norm(centres - np.median(centres, 0), axis=1)
-    usual = float(np.median(distance))
+    usual, away = float(np.median(distance)), float(np.abs(centres).max())
+    if distance.max() <= max(ONE_POINT * away, LEAST_EXTENT):
+        raise BadInputError(
+            f"all {len(names)} cameras stand within {distance.max():.1g} of each other, {away:.3g} from the origin: "
+            f"in one point, from which no depth can be told; check their positions, or {ESTIMATE}"
+        )
     far = np.flatnonzero(distance > FAR * usual).tolist() if usual > 0 else []
     if far:
         told = _shorten([f"{names[v]} ({distance[v] / usual:.0f} times as far as most)" for v in far])
@@ -181,5 +191,5 @@ def _describe_too_few(e: Evidence, needed: int) -> str:
     )
 
 
-def _shorten(names: list[str] | tuple[str, ...]) -> str:
-    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+def _shorten(names: list[str] | tuple[str, ...], most: int = 5) -> str:
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")

@@ -1,6 +1,7 @@
 """How long a unit of the cameras' world is in metres, where something tells: a person, a marker, positions by GPS."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
@@ -19,6 +20,11 @@ Floats = NDArray[np.float64]
 EARTH_RADIUS_M = 6_371_000.0
 MOST_UNCERTAIN = 0.2  # of the scale itself: what GPS tells less well is unknown
 LEAST_UNCERTAIN = 1e-4
+LEAST_SPREAD_DEG = 0.1  # of the rays to a point: less is about a pixel, and they meet anywhere
+
+
+class ParallelRaysError(BadInputError):
+    """Rays that are too nearly parallel to meet."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,10 @@ def find_scale(
 
 
 def triangulate(model: Model, sightings: Sequence[Sighting]) -> tuple[Floats, float]:
-    """The point [3] nearest to the rays of two or more sightings, and how far they miss it (root mean square)."""
+    """The point [3] nearest to the rays of two or more sightings, and how far they miss it (root mean square).
+
+    ParallelRaysError where it is anywhere along them.
+    """
     normal, total, rays = np.zeros((3, 3)), np.zeros(3), []
     for s in sightings:
         pose, lens = model.world_from_cam[s.view], model.lenses[model.view_lens[s.view]]
@@ -56,6 +65,13 @@ def triangulate(model: Model, sightings: Sequence[Sighting]) -> tuple[Floats, fl
         across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
         normal, total = normal + across, total + across @ pose[:, 3]
         rays.append((across, pose[:, 3]))
+    # The mean squared sine of the rays' angles to the direction that they share most.
+    shared = max(float(np.linalg.eigvalsh(normal)[0]), 0.0) / len(sightings)
+    if (spread := 2 * np.rad2deg(np.arcsin(np.sqrt(shared)))) < LEAST_SPREAD_DEG:
+        raise ParallelRaysError(
+            f"{len(sightings)} views see a point along rays that spread by {spread:.2g} degrees: how far it is cannot "
+            "be told; choose views that stand further apart"
+        )
     point = np.asarray(np.linalg.solve(normal, total), np.float64)
     miss = [np.sum((across @ (point - centre)) ** 2) for across, centre in rays]
     return point, float(np.sqrt(np.mean(miss)))
@@ -65,14 +81,21 @@ def _from_distance(distance: Distance, frames: Sequence[CapturedFrame], model: M
     view_of = {frame.name: view for view, frame in enumerate(frames)}
     if missing := [name for name in distance.pixels if name not in view_of]:
         raise BadInputError(f"distance.pixels names {missing[0]}, which is no view that could be placed")
-    ends = [
-        triangulate(model, [Sighting(view_of[name], pair[end]) for name, pair in distance.pixels.items()])
-        for end in (0, 1)
-    ]
-    length = float(np.linalg.norm(ends[0][0] - ends[1][0]))
-    miss = np.hypot(ends[0][1], ends[1][1]) / length
+    try:
+        ends = [
+            triangulate(model, [Sighting(view_of[name], pair[end]) for name, pair in distance.pixels.items()])
+            for end in (0, 1)
+        ]
+    except ParallelRaysError as error:
+        raise BadInputError(f"distance.pixels of {', '.join(distance.pixels)}: {error}") from error
+    length, miss = float(np.linalg.norm(ends[0][0] - ends[1][0])), float(np.hypot(ends[0][1], ends[1][1]))
+    if length <= miss:
+        raise BadInputError(
+            f"distance.pixels of {', '.join(distance.pixels)}: the two points lie {length:.3g} units apart, and their "
+            f"rays miss them by {miss:.3g}; click on two points that are clearly apart, the same ones in every view"
+        )
     return MetricScale(
-        metres_per_unit=distance.metres / length, uncertainty=max(float(miss), LEAST_UNCERTAIN),
+        metres_per_unit=distance.metres / length, uncertainty=max(miss / length, LEAST_UNCERTAIN),
         evidence=f"two points {distance.metres:g} m apart, clicked in {len(distance.pixels)} views",
     )  # fmt: skip
 
@@ -96,12 +119,13 @@ def _from_marker(
                 corners[number][k].append(sighted[k])
     sides: list[float] = []
     for quad in (c for c in corners.values() if len(c[0]) > 1):
-        points = [triangulate(model, sightings)[0] for sightings in quad]
-        sides += [float(np.linalg.norm(points[k] - points[k - 1])) for k in range(4)]
+        with suppress(ParallelRaysError):
+            points = [triangulate(model, sightings)[0] for sightings in quad]
+            sides += [float(np.linalg.norm(points[k] - points[k - 1])) for k in range(4)]
     if not sides:
         raise BadInputError(
-            f"no marker of {marker.dictionary} is seen in two views ({len(corners)} are seen in one); lay one down "
-            "flat and photograph it from several sides, or leave pose-estimation.marker out"
+            f"no marker of {marker.dictionary} is seen in two views that stand apart ({len(corners)} are seen); lay "
+            "one down flat and photograph it from several sides, or leave pose-estimation.marker out"
         )
     mean, spread = float(np.mean(sides)), float(np.std(sides))
     return MetricScale(

@@ -147,10 +147,8 @@ def fill_texture(texels: Texels, colour: Floats, known: NDArray[np.bool_], size:
     texture, empty = np.full((size, size, 3), 0.5, np.float32), np.ones((size, size), bool)
     row, column = texels.row[known], texels.column[known]
     texture[row, column], empty[row, column] = colour[known], False
-    if known.any():
-        nearest = np.asarray(distance_transform_edt(empty, return_distances=False, return_indices=True))
-        texture = texture[nearest[0], nearest[1]]
-    return texture
+    nearest = np.asarray(distance_transform_edt(empty, return_distances=False, return_indices=True))
+    return texture[nearest[0], nearest[1]]
 
 
 def _gather(
@@ -172,7 +170,7 @@ def _blend(
     weight, broad, whole = _gather(points, normals, triangle, sights)
     agreed = weight
     for _ in range(ROUNDS):
-        mean = np.einsum("vn,vnc->nc", agreed, broad) / np.maximum(agreed.sum(0), 1e-12)[:, None]
+        mean = np.einsum("vn,vnc->nc", agreed, broad) / np.maximum(agreed.sum(0), 1e-30)[:, None]
         away = broad - mean
         apart = np.einsum("vnc,vnc->vn", away, away)
         agreed = weight * np.exp(-np.minimum(apart / (2 * AGREEMENT**2), 30.0))

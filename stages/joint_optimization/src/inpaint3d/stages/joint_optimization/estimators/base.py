@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 Count = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, Field(ge=0)]
-Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PRIOR = "diffusers-pipeline|diffusion-prior"
 PULLING: JsonDict = {"x-unless": {"weight": 0}}
 """Of what counts where a guide pulls; at a weight of 0 completed views are fitted ray by ray alone."""
@@ -90,7 +89,7 @@ class Guided(Estimator):
     """Whether a window without any known pixel says nothing to the guide."""
 
     distill_every: Count = Field(default=2, description="steps from one window to the next; 1 in the paper")
-    weight: Positive = Field(default=0.1, description="peak weight of the distillation term (S6)")
+    weight: Positive = Field(default=0.1, le=1e6, description="peak weight of the distillation term (S6)")
     weight_warmup: Steps = Field(
         default=100,
         description="distillation steps over which the weight rises from 0 (S6)",
@@ -198,7 +197,9 @@ class PriorEstimator(HoleFilling):
 
     reads: ClassVar[tuple[str, ...]] = (PRIOR,)
 
-    guidance: Finite = Field(default=1.0, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)")
+    guidance: Finite = Field(
+        default=1.0, ge=-1e6, le=1e6, description="g in eps_null + g (eps_cond - eps_null); paper: 8, 2, 5 (S5)"
+    )
     prompt: str = Field(
         default="",
         description="what a diffusers pipeline that takes text is told of the picture",
@@ -211,7 +212,7 @@ class PriorEstimator(HoleFilling):
         "at low times, where nothing pulls the hole back to what surrounds it",
     )
     t_width: Share = Field(default=0.1, description="width of the interval of diffusion times (S9); 0.2 in the paper")
-    t_floor: Positive = Field(default=0.02, description="no diffusion time lies below this (S9)")
+    t_floor: Positive = Field(default=0.02, le=1, description="no diffusion time lies below this (S9)")
     diffuse_start: bool = Field(
         default=False,
         description="the prior sees diffuse colour first (S10); True in the paper; no effect without specular colour",

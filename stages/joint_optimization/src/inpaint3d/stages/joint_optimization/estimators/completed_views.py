@@ -7,7 +7,8 @@ from pydantic import Field
 
 from inpaint3d.contracts.errors import BadInputError, ConfigurationError
 from inpaint3d.contracts.models.base import Share
-from inpaint3d.stages.joint_optimization.estimators.base import PULLING, Count, Guided, Preparation, Setting, Weight
+from inpaint3d.radiance.fitting import Weight
+from inpaint3d.stages.joint_optimization.estimators.base import PULLING, Count, Guided, Preparation, Setting
 
 if TYPE_CHECKING:
     from inpaint3d.contracts.models.artifacts import CompletedViews

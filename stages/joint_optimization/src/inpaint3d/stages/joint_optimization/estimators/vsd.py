@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field
 
-from inpaint3d.contracts.models.base import Positive
+from inpaint3d.radiance.fitting import Rate
 from inpaint3d.stages.joint_optimization.estimators.base import Count, Narrowing, PriorEstimator
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ class Vsd(Narrowing, PriorEstimator):
 
     name: Literal["vsd"] = "vsd"
     copy_rank: Count = Field(default=4, description="rank of what the prior's copy may learn")
-    copy_learning_rate: Positive = Field(default=1e-3, description="learning rate of the copy")
+    copy_learning_rate: Rate = Field(default=1e-3, description="learning rate of the copy")
 
     def evaluations(self) -> int:
         learning = 3  # the copy's forward pass, and backward for two
