@@ -24,6 +24,8 @@ from inpaint3d.kernels._native import (
     mlp_forward,
     resample,
     set_isa,
+    splats_backward,
+    splats_forward,
     unit_cube,
 )
 from inpaint3d.kernels.arguments import (
@@ -33,10 +35,12 @@ from inpaint3d.kernels.arguments import (
     Histogram,
     Logits,
     Network,
+    Pinhole,
     Rays,
     Rendered,
     SampleGradients,
     Samples,
+    Splats,
 )
 
 __all__ = [
@@ -47,10 +51,12 @@ __all__ = [
     "Histogram",
     "Logits",
     "Network",
+    "Pinhole",
     "Rays",
     "Rendered",
     "SampleGradients",
     "Samples",
+    "Splats",
     "adam",
     "colours_backward",
     "colours_forward",
@@ -68,5 +74,7 @@ __all__ = [
     "mlp_forward",
     "resample",
     "set_isa",
+    "splats_backward",
+    "splats_forward",
     "unit_cube",
 ]
