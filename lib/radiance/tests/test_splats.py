@@ -73,7 +73,9 @@ def test_a_round_splat_on_the_axis_is_a_gaussian_of_its_projected_size():
     spread_x, spread_y = (0.2 * fx / 2) ** 2 + 0.3, (0.2 * fy / 2) ** 2 + 0.3
     alpha = 0.5 * torch.exp(-(x**2) / (2 * spread_x) - (y**2)[:, None] / (2 * spread_y))
     alpha = alpha * (alpha >= 1 / 255)
-    torch.testing.assert_close(rgb, alpha[..., None] * torch.tensor([0.2, 0.6, 1.0], dtype=torch.float64), rtol=1e-6, atol=1e-7)
+    torch.testing.assert_close(
+        rgb, alpha[..., None] * torch.tensor([0.2, 0.6, 1.0], dtype=torch.float64), rtol=1e-6, atol=1e-7
+    )
 
 
 def test_the_nearer_splat_hides_the_farther_one():
@@ -92,7 +94,9 @@ def test_what_is_behind_the_camera_or_close_to_it_is_not_seen():
     assert reference.render_splats(one(1.1 * NEAR), view).max() > 0
 
 
-@pytest.mark.parametrize("view", [front(), front(16, 16), front(3, 2), turned()], ids=["odd", "a tile", "tiny", "turned"])
+@pytest.mark.parametrize(
+    "view", [front(), front(16, 16), front(3, 2), turned()], ids=["odd", "a tile", "tiny", "turned"]
+)
 @pytest.mark.parametrize(("count", "size"), [(0, 1), (1, 0.1), (70, 0.003), (70, 0.1), (300, 0.6)])
 def test_the_kernels_equal_the_reference(isa, threads, view, count, size):
     splats = scatter(count, size=size).map(torch.Tensor.requires_grad_)
@@ -110,13 +114,13 @@ def test_the_kernels_equal_the_reference(isa, threads, view, count, size):
 
 
 def test_results_do_not_depend_on_threads(isa):
-    view, found = front(), []
-    for threads in (1, 2, 3):
-        torch.set_num_threads(threads)
+    view, found, before = front(), [], torch.get_num_threads()
+    for count in (1, 2, 3):
+        torch.set_num_threads(count)
         splats = scatter(200).map(torch.Tensor.requires_grad_)
         rgb = native.render_splats(splats, view)
         rgb.square().sum().backward()
         found.append((rgb.detach(), *(t.grad for t in splats.tensors)))
-    torch.set_num_threads(2)
+    torch.set_num_threads(before)
     for other in found[1:]:
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))

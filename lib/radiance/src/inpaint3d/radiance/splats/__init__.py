@@ -3,6 +3,6 @@
 `reference` is readable torch and the truth; `native` has the CPU's kernels, where they are installed.
 """
 
-from inpaint3d.radiance.splats.model import NEAR, Splats, View, render_splats
+from inpaint3d.radiance.splats.model import NEAR, Splats, View, has_kernels, render_splats
 
-__all__ = ["NEAR", "Splats", "View", "render_splats"]
+__all__ = ["NEAR", "Splats", "View", "has_kernels", "render_splats"]

@@ -31,17 +31,17 @@ class Splats:
     def __len__(self) -> int:
         return len(self.mean)
 
+    def named(self) -> dict[str, Tensor]:
+        """The tensors by name, in the order of the fields."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     @property
     def tensors(self) -> tuple[Tensor, ...]:
-        return tuple(getattr(self, field.name) for field in fields(self))
+        return tuple(self.named().values())
 
     def map(self, change: Any) -> "Splats":
         """The same with `change` applied to every tensor."""
-        return replace(self, **{field.name: change(getattr(self, field.name)) for field in fields(self)})
-
-    def select(self, index: Tensor) -> "Splats":
-        """Those where `index` bool [n] is True, or those of these numbers, in this order."""
-        return self.map(lambda tensor: tensor[index].contiguous())
+        return replace(self, **{name: change(tensor) for name, tensor in self.named().items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +62,11 @@ class View:
 def render_splats(splats: Splats, view: View) -> Float[Tensor, "h w 3"]:
     """What a camera sees of splats before black; differentiable in every tensor of them."""
     return _select().render_splats(splats, view)
+
+
+def has_kernels() -> bool:
+    """Whether the CPU's kernels draw; the reference is for pictures of a few hundred splats."""
+    return _select().__name__.endswith(".native")
 
 
 @cache
