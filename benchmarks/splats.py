@@ -55,7 +55,7 @@ def export(run: Run, store: FolderStore, parameters: dict[str, Any]) -> tuple[Ar
     for digest in inputs.values():
         store.adopt(run.store.fetch(digest), run.store.manifest(digest))
     spec = load_stage(REPOSITORY / "stages/splat_export/stage.yaml")
-    result = invoke(spec, store, inputs, parameters=parameters, threads=1)
+    result = invoke(spec, store, inputs, parameters=parameters)
     if result.code != 0:
         raise RuntimeError(result.error)
     timings = next(iter(store.records())).timings

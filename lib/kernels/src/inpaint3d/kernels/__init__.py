@@ -1,4 +1,5 @@
-"""Compiled CPU kernels of the radiance field; `inpaint3d.radiance.backends.native` is their only user.
+"""Compiled CPU kernels of the radiance field and of splats, for `backends.native` and `splats.native` of
+`inpaint3d.radiance` alone.
 
 Arrays are float32, contiguous, and used in place (numpy, or anything that speaks DLPack). `threads` never changes a
 result: each output number is summed by one thread in a fixed order. Wrong shapes and indices raise ValueError or
