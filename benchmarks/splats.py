@@ -8,6 +8,9 @@ size and scored on the same pixels. Writes `benchmarks/results/splats.json`, the
 held-out photo, the field and the splats.
 """
 
+# pxr ships no type stubs for its compiled modules.
+# pyright: reportAttributeAccessIssue=false
+
 import argparse
 import json
 import shutil

@@ -44,8 +44,8 @@ def begin(views: Sequence[SurfaceView], pictures: Sequence[Image], most: int) ->
     place, normal, rgb, width = (column[kept] for column in every)
     along = np.log(SPREAD * cells * width)
     log_scale = np.stack([along, along, along + np.log(THICKNESS)], 1)
-    cloud = SplatCloud(place, log_scale, lie_across(normal), np.full(len(place), OPAQUE), rgb)
-    return cloud.map(lambda array: np.ascontiguousarray(array, np.float32))
+    parts = (place, log_scale, lie_across(normal), np.full(len(place), OPAQUE), rgb)
+    return SplatCloud(*(np.ascontiguousarray(part, np.float32) for part in parts))
 
 
 def sample_view(view: SurfaceView, picture: Image) -> Samples:
