@@ -18,7 +18,7 @@ from inpaint3d.scene.finite import find_non_finite
 from inpaint3d.stages.splat_export.cloud import SplatCloud
 from inpaint3d.stages.splat_export.targets import Target
 
-RATES = {"log_scale": 0.02, "rotation": 0.01, "opacity": 0.05, "rgb": 0.01}
+RATES = {"log_scale": 0.04, "rotation": 0.03, "opacity": 0.05, "rgb": 0.02}
 SLOWEST = 0.1  # of the learning rates, at the last step
 BETAS, EPS = (0.9, 0.99), 1e-15
 FAINTEST = -5.3  # logit: an opacity under 1/200 is hardly ever seen
