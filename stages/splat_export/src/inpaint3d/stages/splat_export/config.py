@@ -15,7 +15,7 @@ class Config(Closed):
 
     splats: Annotated[int, Field(ge=100, le=4_000_000)] = Field(default=120_000, description="at most so many")
     steps: Annotated[int, Field(ge=0)] = Field(
-        default=300, description="of the fit, one training view each; 0: the splats as the field's depth places them"
+        default=240, description="of the fit, one training view each; 0: the splats as the field's depth places them"
     )
     position_rate: Positive = Field(
         default=0.15, description="learning rate of the places at first, in widths that a pixel of the depth has there"
