@@ -89,6 +89,26 @@ def _free_of_axes(name: str, array: NDArray[np.float64]) -> NDArray[np.float64]:
     return array
 
 
+def measure_covariances(read: Arrays) -> NDArray[np.float64]:
+    """[n, 3, 3]: what of scales and rotations can be seen; several rotations may say the same."""
+    w, x, y, z = (read["rotation"] / np.linalg.norm(read["rotation"], axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    root = np.moveaxis(np.array(rows), -1, 0) * np.exp(read["log_scale"])[:, None]
+    return root @ root.swapaxes(1, 2)
+
+
+def compare_axes(read: Arrays, other: Arrays) -> dict[str, float]:
+    """Largest differences of places, scene units, and of covariances, in the splat's largest variance."""
+    ours, theirs = measure_covariances(read), measure_covariances(other)
+    size = np.exp(2 * read["log_scale"]).max(1)[:, None, None]
+    found = {"mean": np.abs(read["mean"] - other["mean"]).max(), "covariance": (np.abs(ours - theirs) / size).max()}
+    return {name: float(f"{value:.3g}") for name, value in found.items()}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("splats", type=Path)
@@ -97,10 +117,13 @@ def main() -> None:
     truth = read_usd(folder / "splats.usdc")
     found: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as room:
+        again: list[Arrays] = []
         for one in ("ply", "spz"):
             file = folder / f"splats.{one}"
             found[f"{one}, gsply"] = compare(read_by_python(GSPLY, file, Path(room)), truth)
-            found[f"{one}, splat-transform"] = compare(read_by_splat_transform(file, Path(room)), truth)
+            again.append(read_by_splat_transform(file, Path(room)))
+            found[f"{one}, splat-transform"] = compare(again[-1], truth)
+        found["spz in the ply's axes, splat-transform"] = compare_axes(*again)
         found["glb, trimesh"] = compare(read_by_python(TRIMESH, folder / "splats.glb", Path(room)), truth)
     told = subprocess.run(
         ["node", "-e", VALIDATOR, str(folder / "splats.glb")],
