@@ -27,7 +27,7 @@ from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
 from inpaint3d.scene.capture_io import load_posed
 from inpaint3d.scene.psnr import psnr
-from inpaint3d.stages.evaluation.metrics import ssim
+from inpaint3d.scene.ssim import ssim
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "radiance_quality.json"
 DEMO = REPOSITORY / "examples" / "demo" / "capture"

@@ -153,7 +153,7 @@ def test_the_command_writes_what_is_wanted_and_says_what_is_left_out(cli, captur
     assert check(documents, PIPELINE) == []
     (template,) = [d for d in documents if d["kind"] == "WorkflowTemplate"]
     left_out = set(json.loads(template["metadata"]["annotations"][LEFT_OUT]))
-    assert left_out == {"diffusion-training", "continued-reconstruction", "plate-export"} - (
+    assert left_out == {"diffusion-training", "continued-reconstruction", "plate-export", "splat-export"} - (
         {"continued-reconstruction"} if flags else set()
     )
     submitted = clusters.load_submission(open_store(bucket), "spring")

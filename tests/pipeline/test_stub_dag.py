@@ -58,6 +58,11 @@ def test_a_run_leaves_results_then_has_nothing_to_do_then_reruns_what_changed(ra
     assert "parameters.estimator.weight" in why
     assert "-> 2" in why
 
+    wanted = cli(*arguments, "--want", "splat-export")
+    assert wanted.returncode == 0, wanted.stderr
+    splats = {path.name for path in (folder / "splats").iterdir()}
+    assert splats == {"splats.ply", "splats.spz", "splats.glb", "splats.usdc"}
+
 
 def test_a_doubtful_result_stops_the_run_unless_a_person_insists(ran):
     cli, arguments = ran

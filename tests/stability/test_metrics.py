@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from inpaint3d.scene.psnr import psnr
+from inpaint3d.scene.ssim import ssim
 from inpaint3d.stages.evaluation.frechet import frechet_distance, kernel_distance
 from inpaint3d.stages.evaluation.hole import gradient_ratio, gradient_share, opacity_figures
-from inpaint3d.stages.evaluation.metrics import ssim
 from tests.stability.catalogue import hard_case
 
 METRICS = "Metrics"

@@ -90,6 +90,25 @@ struct Cells {
   float bound;
 };
 
+// Gaussians: means, logarithms of standard deviations and colours [count, 3], quaternions w x y z of any length
+// [count, 4], logits of opacity [count].
+struct Splats {
+  const float *mean, *log_scale, *rotation, *opacity, *rgb;
+  int64_t count;
+};
+
+struct SplatsGrad {
+  float *mean, *log_scale, *rotation, *opacity, *rgb;
+};
+
+// Focal lengths and centre in pixels; what is nearer than `near` is not seen.
+struct Pinhole {
+  float fx, fy, cx, cy;
+  int64_t width, height;
+  float near;
+  float cam_from_world[12];
+};
+
 struct Kernels {
   const char* name;
   void (*hash_forward)(const float* points, int64_t count, const float* table, Grid grid, float* out, int threads);
@@ -122,6 +141,11 @@ struct Kernels {
   void (*interlevel_backward)(Histograms h, const float* out_grad, float* grad, int threads);
   // Returns how many numbers it left alone, moments too, since their gradient is not finite.
   int64_t (*adam)(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
+  // rgb [height, width, 3], before black.
+  void (*splats_forward)(Splats splats, Pinhole camera, float* rgb, int threads);
+  // rgb is what splats_forward wrote. Gradients of what is not seen keep what they hold.
+  void (*splats_backward)(Splats splats, Pinhole camera, const float* rgb, const float* rgb_grad, SplatsGrad grad,
+                          int threads);
 };
 
 namespace portable { extern const Kernels kKernels; }

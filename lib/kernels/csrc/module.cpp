@@ -46,6 +46,10 @@ using ColoursGradTuple = std::tuple<std::optional<In<nb::shape<-1, 3>>>, std::op
 using CellsTuple = std::tuple<In<nb::ndim<1>>, int64_t, std::optional<float>>;
 using RaysTuple = std::tuple<In<nb::shape<-1, 3>>, In<nb::shape<-1, 3>>, In<nb::ndim<1>>>;
 using HistogramTuple = std::tuple<In<nb::ndim<2>>, In<nb::ndim<2>>>;
+using SplatsTuple = std::tuple<In<nb::shape<-1, 3>>, In<nb::shape<-1, 3>>, In<nb::shape<-1, 4>>, In<nb::ndim<1>>, In<nb::shape<-1, 3>>>;
+using SplatsGradTuple =
+    std::tuple<Out<nb::shape<-1, 3>>, Out<nb::shape<-1, 3>>, Out<nb::shape<-1, 4>>, Out<nb::ndim<1>>, Out<nb::shape<-1, 3>>>;
+using PinholeTuple = std::tuple<std::tuple<float, float, float, float>, In<nb::shape<3, 4>>, float>;
 using AdamTuple = std::tuple<int64_t, double, double, double, double, double, bool>;
 
 void require(bool truth, const std::string& message) {
@@ -365,6 +369,59 @@ int64_t adam(Out<nb::ndim<1>> param, In<nb::ndim<1>> grad, Out<nb::ndim<1>> m, O
   return run(param.data(), grad.data(), m.data(), v.data(), static_cast<int64_t>(count), settings, threads);
 }
 
+template <class Tuple>
+void check_splats(const Tuple& splats, int64_t count) {
+  const auto& [mean, log_scale, rotation, opacity, rgb] = splats;
+  require_shape(mean, {count, 3}, "mean");
+  require_shape(log_scale, {count, 3}, "log_scale");
+  require_shape(rotation, {count, 4}, "rotation");
+  require_shape(opacity, {count}, "opacity");
+  require_shape(rgb, {count, 3}, "rgb");
+}
+
+Splats checked_splats(const SplatsTuple& splats) {
+  const auto& [mean, log_scale, rotation, opacity, rgb] = splats;
+  const auto count = static_cast<int64_t>(mean.shape(0));
+  require(count <= INT32_MAX, "there may be 2^31 - 1 splats, not " + std::to_string(count));
+  check_splats(splats, count);
+  return {mean.data(), log_scale.data(), rotation.data(), opacity.data(), rgb.data(), count};
+}
+
+Pinhole checked_pinhole(const PinholeTuple& camera, size_t height, size_t width) {
+  const auto& [intrinsics, cam_from_world, near] = camera;
+  const auto [fx, fy, cx, cy] = intrinsics;
+  require(near > 0, "near must be positive, not " + std::to_string(near));
+  require(fx > 0 && fy > 0, "focal lengths must be positive, not " + std::to_string(fx) + " and " + std::to_string(fy));
+  require(height < (1 << 20) && width < (1 << 20), "a picture has less than 2^20 pixels a side");
+  Pinhole pinhole{fx, fy, cx, cy, static_cast<int64_t>(width), static_cast<int64_t>(height), near, {}};
+  std::copy_n(cam_from_world.data(), 12, pinhole.cam_from_world);
+  return pinhole;
+}
+
+void splats_forward(const SplatsTuple& splats, const PinholeTuple& camera, Out<nb::shape<-1, -1, 3>> rgb, int threads) {
+  const Splats given = checked_splats(splats);
+  const Pinhole pinhole = checked_pinhole(camera, rgb.shape(0), rgb.shape(1));
+  const auto run = active().splats_forward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(given, pinhole, rgb.data(), threads);
+}
+
+void splats_backward(const SplatsTuple& splats, const PinholeTuple& camera, In<nb::shape<-1, -1, 3>> rgb,
+                     In<nb::shape<-1, -1, 3>> rgb_grad, const SplatsGradTuple& grads, int threads) {
+  const Splats given = checked_splats(splats);
+  const Pinhole pinhole = checked_pinhole(camera, rgb.shape(0), rgb.shape(1));
+  require_shape(rgb_grad, {pinhole.height, pinhole.width, 3}, "rgb_grad");
+  check_splats(grads, given.count);
+  std::apply([](const auto&... each) { (std::fill_n(each.data(), each.size(), 0.0f), ...); }, grads);
+  const auto& [mean, log_scale, rotation, opacity, colour] = grads;
+  const auto run = active().splats_backward;
+  check_threads(threads);
+  nb::gil_scoped_release release;
+  run(given, pinhole, rgb.data(), rgb_grad.data(), {mean.data(), log_scale.data(), rotation.data(), opacity.data(), colour.data()},
+      threads);
+}
+
 }  // namespace
 }  // namespace inpaint3d
 
@@ -399,4 +456,6 @@ NB_MODULE(_native, module) {
   module.def("interlevel_backward", &interlevel_backward, "histogram"_a.noconvert(), "other"_a.noconvert(),
              "out_grad"_a.noconvert(), "grad"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
   module.def("adam", &adam, "param"_a.noconvert(), "grad"_a.noconvert(), "m"_a.noconvert(), "v"_a.noconvert(), "how"_a, nb::kw_only(), "threads"_a = 1);
+  module.def("splats_forward", &splats_forward, "splats"_a.noconvert(), "camera"_a, "rgb"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
+  module.def("splats_backward", &splats_backward, "splats"_a.noconvert(), "camera"_a, "rgb"_a.noconvert(), "rgb_grad"_a.noconvert(), "grads"_a.noconvert(), nb::kw_only(), "threads"_a = 1);
 }

@@ -29,5 +29,7 @@ void unit_cube(const float* points, int64_t count, float* out, int threads);
 void interlevel_forward(Histograms h, float* out, int threads);
 void interlevel_backward(Histograms h, const float* out_grad, float* grad, int threads);
 int64_t adam(float* param, const float* grad, float* m, float* v, int64_t count, Adam adam, int threads);
+void splats_forward(Splats splats, Pinhole camera, float* rgb, int threads);
+void splats_backward(Splats splats, Pinhole camera, const float* rgb, const float* rgb_grad, SplatsGrad grad, int threads);
 
 }  // namespace inpaint3d::INPAINT3D_ISA

@@ -12,8 +12,8 @@ from torchmetrics.functional.image import peak_signal_noise_ratio as torchmetric
 from torchmetrics.functional.image import structural_similarity_index_measure as torchmetrics_ssim
 
 from inpaint3d.scene.psnr import psnr
+from inpaint3d.scene.ssim import ssim
 from inpaint3d.stages.evaluation.frechet import estimate_kernel_distance, frechet_distance
-from inpaint3d.stages.evaluation.metrics import ssim
 
 SHAPES = [(48, 37, 3), (11, 11, 3), (12, 64, 3)]
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from inpaint3d.radiance.surface_views import DOME, SurfaceView, close_off
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.planes import Plane
 from inpaint3d.stages.usd_export.contraction import contract, expand, measure_stretch
@@ -8,8 +9,7 @@ from inpaint3d.stages.usd_export.fusion import Volume, depth_ahead, fuse
 from inpaint3d.stages.usd_export.guides import visual_hull
 from inpaint3d.stages.usd_export.mesh import Mesh, extract, flatten, label_pieces, remove_floaters, simplify
 from inpaint3d.stages.usd_export.rays import Caster
-from inpaint3d.stages.usd_export.surface import DOME, bounds_of, close_off, find_seen, make_surface
-from inpaint3d.stages.usd_export.surface_views import SurfaceView
+from inpaint3d.stages.usd_export.surface import bounds_of, find_seen, make_surface
 
 
 def ball_volume(radius: float = 0.6, n: int = 33) -> Volume:

@@ -68,7 +68,9 @@ Prior = Annotated[
 Corpus = Annotated[Path | None, typer.Option(help="folder of an image-corpus artifact to train the prior on")]
 Want = Annotated[
     list[str] | None,
-    typer.Option("--want", help="also run this stage, which no preset wants (plate-export); may be repeated"),
+    typer.Option(
+        "--want", help="also run this stage, which no preset wants (plate-export, splat-export); may be repeated"
+    ),
 ]
 Painted = Annotated[
     Path | None, typer.Option(help="folder that `inpaint3d paint ask` wrote, painted in: what is made up, by hand")

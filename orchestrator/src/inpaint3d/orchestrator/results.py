@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, UsdScene
+from inpaint3d.contracts.models.artifacts import CleanPlates, Evaluation, SplatScene, UsdScene
 from inpaint3d.contracts.models.base import Closed
 from inpaint3d.contracts.models.report import RunRecord
 from inpaint3d.contracts.store import Artifact, Store
@@ -44,4 +44,7 @@ RESULTS = (
     EVALUATION,
     Result("usd-export", "usd-scene", UsdScene, "scene.usdz", lambda scene: {"": scene.package}),
     Result("plate-export", "clean-plates", CleanPlates, "plates", _list_data_set),
+    Result(
+        "splat-export", "splat-scene", SplatScene, "splats", lambda scene: {file: file for file in scene.files.values()}
+    ),
 )

@@ -1,4 +1,5 @@
-"""Compiled CPU kernels of the radiance field; `inpaint3d.radiance.backends.native` is their only user.
+"""Compiled CPU kernels of the radiance field and of splats, for `backends.native` and `splats.native` of
+`inpaint3d.radiance` alone.
 
 Arrays are float32, contiguous, and used in place (numpy, or anything that speaks DLPack). `threads` never changes a
 result: each output number is summed by one thread in a fixed order. Wrong shapes and indices raise ValueError or
@@ -24,6 +25,8 @@ from inpaint3d.kernels._native import (
     mlp_forward,
     resample,
     set_isa,
+    splats_backward,
+    splats_forward,
     unit_cube,
 )
 from inpaint3d.kernels.arguments import (
@@ -33,10 +36,12 @@ from inpaint3d.kernels.arguments import (
     Histogram,
     Logits,
     Network,
+    Pinhole,
     Rays,
     Rendered,
     SampleGradients,
     Samples,
+    Splats,
 )
 
 __all__ = [
@@ -47,10 +52,12 @@ __all__ = [
     "Histogram",
     "Logits",
     "Network",
+    "Pinhole",
     "Rays",
     "Rendered",
     "SampleGradients",
     "Samples",
+    "Splats",
     "adam",
     "colours_backward",
     "colours_forward",
@@ -68,5 +75,7 @@ __all__ = [
     "mlp_forward",
     "resample",
     "set_isa",
+    "splats_backward",
+    "splats_forward",
     "unit_cube",
 ]

@@ -8,10 +8,12 @@ from inpaint3d.kernels.arguments import (
     Histogram,
     Logits,
     Network,
+    Pinhole,
     Rays,
     Rendered,
     SampleGradients,
     Samples,
+    Splats,
 )
 
 Level = tuple[int, int, int, bool]  # resolution, first entry, entries, dense
@@ -98,3 +100,11 @@ def adam(param: Array, grad: Array, m: Array, v: Array, how: AdamStep, *, thread
     decay: the gradient is grad + decay * param. sparse: numbers with grad = 0 are left alone, moments too. So are those
     whose grad is not finite: how many is returned.
     """
+
+def splats_forward(splats: Splats, camera: Pinhole, rgb: Array, *, threads: int = 1) -> None:
+    """Write what a camera sees of splats, before black, to rgb [h, w, 3]."""
+
+def splats_backward(
+    splats: Splats, camera: Pinhole, rgb: Array, rgb_grad: Array, grads: Splats, *, threads: int = 1
+) -> None:
+    """Overwrite grads, given splats_forward's rgb and its gradient, [h, w, 3] both."""

@@ -104,3 +104,29 @@ class Histogram(NamedTuple):
     """[r, n + 1], sorted."""
     weights: Array
     """[r, n]."""
+
+
+class Splats(NamedTuple):
+    """Gaussians in space."""
+
+    mean: Array
+    """[n, 3]."""
+    log_scale: Array
+    """[n, 3], of the standard deviation along each axis of its own."""
+    rotation: Array
+    """[n, 4], quaternion w x y z of any length."""
+    opacity: Array
+    """[n], logits."""
+    rgb: Array
+    """[n, 3]."""
+
+
+class Pinhole(NamedTuple):
+    """A camera; the picture's size is that of the array that it is written to."""
+
+    intrinsics: tuple[float, float, float, float]
+    """fx, fy, cx, cy, pixels; the first pixel's centre is at 0.5."""
+    cam_from_world: Array
+    """[3, 4]."""
+    near: float
+    """Depth > 0 of a centre up to which a splat is not seen."""

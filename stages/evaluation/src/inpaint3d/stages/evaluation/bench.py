@@ -10,11 +10,11 @@ from inpaint3d.contracts.models.artifacts import Metric
 from inpaint3d.perception import lpips
 from inpaint3d.scene.image_io import Image
 from inpaint3d.scene.psnr import psnr
+from inpaint3d.scene.ssim import ssim
 from inpaint3d.stages.evaluation.config import Config
 from inpaint3d.stages.evaluation.features import lite0_features
 from inpaint3d.stages.evaluation.frechet import estimate_kernel_distance, frechet_distance
 from inpaint3d.stages.evaluation.methods import Maps, Method, count_non_finite
-from inpaint3d.stages.evaluation.metrics import ssim
 from inpaint3d.stages.evaluation.photos import Photo
 from inpaint3d.stages.evaluation.scores import Scores, metric
 

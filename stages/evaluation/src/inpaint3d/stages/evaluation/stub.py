@@ -4,10 +4,10 @@ from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
 from inpaint3d.contracts.models.artifacts import Evaluation, PictureStrip, Protocol
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.psnr import psnr
+from inpaint3d.scene.ssim import ssim
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.evaluation.baselines import mean_surround
 from inpaint3d.stages.evaluation.config import Config
-from inpaint3d.stages.evaluation.metrics import ssim
 from inpaint3d.stages.evaluation.pictures import GAP, colour_depth, hide_hole, set_side_by_side
 from inpaint3d.stages.evaluation.scores import Scores
 

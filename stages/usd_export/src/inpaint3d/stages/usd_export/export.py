@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from inpaint3d.contracts.errors import BadInputError
 from inpaint3d.contracts.models.artifacts import MeshFidelity, Primitive, UsdScene
+from inpaint3d.radiance.surface_views import SurfaceView
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import SparsePoints
 from inpaint3d.scene.image_io import Image, Mask, write_png
@@ -27,7 +28,6 @@ from inpaint3d.stages.usd_export.package import write_package
 from inpaint3d.stages.usd_export.rays import Caster
 from inpaint3d.stages.usd_export.soundness import refuse_broken
 from inpaint3d.stages.usd_export.surface import make_surface
-from inpaint3d.stages.usd_export.surface_views import SurfaceView
 from inpaint3d.stages.usd_export.texture import Picture, even_exposures, fill_texture, look, measure_filled, paint
 from inpaint3d.stages.usd_export.validation import as_document, validate
 

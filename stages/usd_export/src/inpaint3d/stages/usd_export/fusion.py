@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter
 
+from inpaint3d.radiance.surface_views import SurfaceView
 from inpaint3d.stages.usd_export.contraction import expand, measure_stretch
-from inpaint3d.stages.usd_export.surface_views import SurfaceView
 
 Floats = NDArray[np.float32]
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]

@@ -1,15 +1,13 @@
 """A mesh as binary glTF 2.0 with its texture inside, and as a PLY point cloud; both for tools that read no USD."""
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from inpaint3d.scene.glb import write_glb_file
 from inpaint3d.stages.usd_export.mesh import Mesh
 
-_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT = 5126, 5125
 # glTF's y is up; the scene's z is.
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -57,12 +55,7 @@ def write_glb(path: Path, mesh: Mesh, coordinates: NDArray[np.float32], texture:
         ],
         "buffers": [{"byteLength": int(starts[-1])}],
     }
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    body = b"".join(blobs)
-    header = struct.pack("<III", _MAGIC, 2, 12 + 8 + len(text) + 8 + len(body))
-    parts = [header, struct.pack("<II", len(text), _JSON), text, struct.pack("<II", len(body), _BIN), body]
-    path.write_bytes(b"".join(parts))
+    write_glb_file(path, document, b"".join(blobs))
 
 
 def write_point_cloud(path: Path, points: ArrayLike, normals: ArrayLike, colours: ArrayLike) -> None:

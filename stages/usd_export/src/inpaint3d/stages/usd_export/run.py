@@ -13,6 +13,7 @@ from inpaint3d.contracts.models.artifacts import CompletedViews, MaskSet, PosedC
 from inpaint3d.contracts.store import Artifact
 from inpaint3d.radiance.io import load_field
 from inpaint3d.radiance.rendering import render_view
+from inpaint3d.radiance.surface_views import SurfaceView, close_off, surface_view
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.capture_io import View, load_points, load_posed
 from inpaint3d.scene.image_io import Mask
@@ -20,8 +21,7 @@ from inpaint3d.scene.selection import choose_evenly
 from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.export import Capture, MaskVolume, Textured, make_content, write_scene
 from inpaint3d.stages.usd_export.pictures import load_completed, load_held_out, load_masks, load_photos
-from inpaint3d.stages.usd_export.surface import bounds_of, close_off
-from inpaint3d.stages.usd_export.surface_views import SurfaceView, surface_view
+from inpaint3d.stages.usd_export.surface import bounds_of
 
 
 def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:

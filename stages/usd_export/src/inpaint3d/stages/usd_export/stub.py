@@ -3,11 +3,11 @@
 import numpy as np
 
 from inpaint3d.contracts.kit.context import Context, Inputs, Outputs
+from inpaint3d.radiance.surface_views import SurfaceView
 from inpaint3d.scene.synthetic import synthetic_scene
 from inpaint3d.stages.usd_export.config import Config
 from inpaint3d.stages.usd_export.export import Capture, MaskVolume, make_content, write_scene
 from inpaint3d.stages.usd_export.surface import bounds_of
-from inpaint3d.stages.usd_export.surface_views import SurfaceView
 from inpaint3d.stages.usd_export.texture import Picture
 
 TINY = Config(grid=24, texture_size=256, triangles=400)

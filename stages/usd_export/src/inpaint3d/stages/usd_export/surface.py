@@ -1,19 +1,17 @@
 """From the views' depth to the mesh that is exported: fused, without what no view shows, flat and few triangles."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from inpaint3d.radiance.surface_views import SurfaceView
 from inpaint3d.scene.planes import fit_planes
 from inpaint3d.stages.usd_export.contraction import contract, expand, measure_stretch
 from inpaint3d.stages.usd_export.fusion import Box, corners, fuse
 from inpaint3d.stages.usd_export.mesh import Mesh, extract, flatten, keep_seen, remove_floaters, simplify
 from inpaint3d.stages.usd_export.rays import Caster
-from inpaint3d.stages.usd_export.surface_views import SurfaceView
 
-DOME = 12.0  # scene units; radius about the origin. Cameras are within the unit ball: little parallax is left there
 FLAT = 1.0  # cells that a plane's vertices may lie off it
 PLANE_SAMPLE = 8000  # vertices that planes are looked for among
 
@@ -27,17 +25,6 @@ def bounds_of(views: Sequence[SurfaceView]) -> Box:
     low, high = np.quantile(every, [0.0005, 0.9995], axis=0)
     margin = 0.02 * float((high - low).max()) + 1e-3
     return low - margin, high + margin
-
-
-def close_off(view: SurfaceView) -> SurfaceView:
-    """The view with a dome behind everything: what shows no surface, or a farther one, shows the dome."""
-    camera = view.camera
-    origins, directions = camera.rays()
-    along = (origins * directions).sum(-1)
-    distance = -along + np.sqrt(np.square(along) - np.square(origins).sum(-1) + DOME**2)
-    dome = distance * (directions @ camera.forward)
-    depth = np.where(view.depth > 0, np.minimum(view.depth, dome), dome)
-    return replace(view, depth=depth.astype(np.float32))
 
 
 def make_surface(

@@ -41,6 +41,7 @@ from inpaint3d.contracts.models.artifacts.results import (
     Protocol,
     UsdScene,
 )
+from inpaint3d.contracts.models.artifacts.splat_scene import SplatFidelity, SplatFormat, SplatScene
 from inpaint3d.contracts.models.base import Closed
 
 SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
@@ -62,6 +63,7 @@ SCHEMAS: dict[str, tuple[str, type[Closed]]] = {
     "clean-plates": ("1.0", CleanPlates),
     "evaluation": ("1.0", Evaluation),
     "usd-scene": ("1.0", UsdScene),
+    "splat-scene": ("1.0", SplatScene),
 }
 """Artifact name -> (MAJOR.MINOR that this code writes, metadata model)."""
 
@@ -112,6 +114,9 @@ __all__ = [
     "Registration",
     "Segmenter",
     "Source",
+    "SplatFidelity",
+    "SplatFormat",
+    "SplatScene",
     "Truth",
     "UsdScene",
     "ViewOrder",

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from inpaint3d.stages.evaluation.metrics import ssim, ssim_map
+from inpaint3d.scene.ssim import ssim, ssim_map
 
 
 def pictures(seed: int = 0, shape: tuple[int, int, int] = (24, 31, 3)) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """What a field looks like from the capture's cameras: colour and depth, stored or rendered."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from inpaint3d.radiance.artifact import reduce_camera
 from inpaint3d.scene.cameras import Camera
 from inpaint3d.scene.image_io import Image, read_image
 from inpaint3d.scene.map_io import read_exr
+
+DOME = 12.0  # scene units; radius about the origin. Cameras are within the unit ball: little parallax is left there
 
 Render = Callable[[Camera], dict[str, NDArray[np.float32]]]
 
@@ -51,6 +53,17 @@ def surface_view(
     colour = np.where(surface[..., None], rgb, 0).astype(np.float32)
     height, width = depth.shape
     return SurfaceView(camera.resize_to(width, height), colour, np.where(surface, depth, 0).astype(np.float32))
+
+
+def close_off(view: SurfaceView) -> SurfaceView:
+    """The view with a dome behind everything: what shows no surface, or a farther one, shows the dome."""
+    camera = view.camera
+    origins, directions = camera.rays()
+    along = (origins * directions).sum(-1)
+    distance = -along + np.sqrt(np.square(along) - np.square(origins).sum(-1) + DOME**2)
+    dome = distance * (directions @ camera.forward)
+    depth = np.where(view.depth > 0, np.minimum(view.depth, dome), dome)
+    return replace(view, depth=depth.astype(np.float32))
 
 
 def _read_stored(
