@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from inpaint3d.contracts.models.artifacts import CleanPlates, UsdScene
+from inpaint3d.contracts.models.artifacts import CleanPlates, SplatScene, UsdScene
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,16 @@ def describe_scene(scene: UsdScene) -> Export:
     errors = f"{scene.validation_errors} errors of USD's validators"
     if (fit := scene.fidelity) is None:
         return Export("scene.usdz", holds, f"no photo was held out to compare the mesh with; {errors}")
-    field = "" if fit.field_psnr is None else f" (the radiance field: {fit.field_psnr:.1f} dB)"
-    photos = "1 photo that was" if fit.photos == 1 else f"{fit.photos} photos that were"
-    return Export(
-        "scene.usdz",
-        holds,
-        f"the mesh is {fit.psnr:.1f} dB, SSIM {fit.ssim:.2f}, from {photos} held out{field}; {errors}",
-    )
+    apart = _compare("the mesh is", fit.psnr, fit.ssim, fit.photos, fit.field_psnr)
+    return Export("scene.usdz", holds, f"{apart}; {errors}")
+
+
+def describe_splats(made: SplatScene) -> Export:
+    """The Gaussian splats beside the field that they start from."""
+    holds = f"{made.splats:,} Gaussian splats as {', '.join(name.upper() for name in made.files)}"
+    if (fit := made.fidelity) is None:
+        return Export("splats", holds, "no photo was held out to compare them with")
+    return Export("splats", holds, _compare("they are", fit.psnr, fit.ssim, fit.photos, fit.field_psnr))
 
 
 def describe_plates(made: CleanPlates) -> Export:
@@ -43,3 +46,9 @@ def describe_plates(made: CleanPlates) -> Export:
         f"neighbouring plates differ {made.consistency.ratio:.2f} times as much in the hole as beside it, "
         f"over {made.consistency.pairs} pairs",
     )
+
+
+def _compare(what: str, psnr: float, ssim: float, photos: int, field_psnr: float | None) -> str:
+    of = "1 photo that was" if photos == 1 else f"{photos} photos that were"
+    field = "" if field_psnr is None else f" (the radiance field: {field_psnr:.1f} dB)"
+    return f"{what} {psnr:.1f} dB, SSIM {ssim:.2f}, from {of} held out{field}"

@@ -17,6 +17,7 @@ from inpaint3d.contracts.models.artifacts import (
     PictureStrip,
     PosedCapture,
     RadianceFieldArtifact,
+    SplatScene,
     UsdScene,
 )
 from inpaint3d.contracts.models.base import Closed, Digest
@@ -26,7 +27,7 @@ from inpaint3d.orchestrator.accuracy import render_course
 from inpaint3d.orchestrator.effects import read_effects
 from inpaint3d.orchestrator.pages.dag import draw_dag, format_seconds
 from inpaint3d.orchestrator.pages.effects import EffectRow, describe_effects
-from inpaint3d.orchestrator.pages.exports import Export, describe_plates, describe_scene
+from inpaint3d.orchestrator.pages.exports import Export, describe_plates, describe_scene, describe_splats
 from inpaint3d.orchestrator.pages.orbit import Orbit, build_orbit
 from inpaint3d.orchestrator.pages.pictures import Strip, cut_strip, fit_into
 from inpaint3d.orchestrator.pages.tables import list_views, make_table
@@ -69,8 +70,10 @@ class Page:
         """What people take on from here."""
         scene = self._open("usd-export", "usd-scene", UsdScene)
         plates = self._open("plate-export", "clean-plates", CleanPlates)
+        splats = self._open("splat-export", "splat-scene", SplatScene)
         found = [describe_scene(scene.metadata)] if scene else []
-        return [*found, describe_plates(plates.metadata)] if plates else found
+        found += [describe_plates(plates.metadata)] if plates else []
+        return [*found, describe_splats(splats.metadata)] if splats else found
 
     @property
     def effects(self) -> Sequence[EffectRow]:
