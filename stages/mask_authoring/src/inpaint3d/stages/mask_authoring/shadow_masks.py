@@ -89,12 +89,12 @@ def describe(shadow: PlaneShadow) -> str:
 
 
 def draw_shadow(shadow: Shadow) -> Image:
-    """The plane from above, the light that is kept from it (black: half), and the plane with its shadow in red."""
+    """The plane from above, the light that is kept from it (black: half), and the plane with its shadow in green."""
     known = shadow.texture.known[..., None]
     colours = srgb_from_linear(np.where(known, np.exp(shadow.texture.log_colour), 0.0))
     kept = np.broadcast_to(1 - (2 * shadow.share[..., None]).clip(0, 1), colours.shape)
     inside = shadow.found & (shadow.share > shadow.threshold)[..., None]
-    marked = np.where(inside, 0.5 * colours + (0.5, 0.0, 0.0), colours)
+    marked = np.where(inside, 0.5 * colours + (0.0, 0.5, 0.0), colours)
     row = np.concatenate([colours, kept, marked], 1)
     return row.repeat(ENLARGED, 0).repeat(ENLARGED, 1).astype(np.float32)
 
