@@ -13,12 +13,13 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from benchmarks.provenance import commit
 
-from inpaint3d.contracts.models.artifacts import EffectPlan, MaskSet, PosedCapture, RadianceFieldArtifact
+from inpaint3d.contracts.models.artifacts import EffectPlan, MaskSet, PosedCapture, PosedFrame, RadianceFieldArtifact
 from inpaint3d.contracts.store import FolderStore
 from inpaint3d.radiance.appearance import AppearanceMap
 from inpaint3d.radiance.io import load_field
@@ -54,27 +55,24 @@ class Demo:
             self.posed, self._open("nerf-pretraining", "radiance-field", RadianceFieldArtifact)
         )
         self.known = self._open("masked-reconstruction", "radiance-field", RadianceFieldArtifact)
-        self.truth = {frame.name: self._resample(frame, clean) for frame in self.posed.metadata.frames}
-        self.truth = {name: picture for name, picture in self.truth.items() if picture is not None}
+        known = [frame for frame in self.posed.metadata.frames if (clean / f"{frame.name}.png").is_file()]
+        self.truth = {frame.name: self._resample(frame, clean / f"{frame.name}.png") for frame in known}
 
     def object_masks(self) -> list[Mask]:
         return [read_mask(self.masks.path(view.mask)) for view in self.masks.metadata.views]
 
-    def _open(self, node: str, port: str, kind):
+    def _open(self, node: str, port: str, kind: type[Any]) -> Any:
         return self._store.open(self._outputs[node][port], kind)
 
-    def _resample(self, frame, clean: Path) -> Image | None:
+    def _resample(self, frame: PosedFrame, path: Path) -> Image:
         """The render at a posed frame's size, its lens straightened."""
-        path = clean / f"{frame.name}.png"
-        if not path.is_file():
-            return None
         render = read_image(path)
         camera = PhotoCamera.from_frame(frame, self.posed.metadata.lens, render.shape[1], render.shape[0])
         posed = next(v.camera for v in self.scene.views if v.name == frame.name)
         rows, columns = np.mgrid[0 : posed.height * FINER, 0 : posed.width * FINER]
         rays = ((np.stack([columns, rows], -1) + 0.5) / FINER - (posed.cx, posed.cy)) / (posed.fx, posed.fy)
         at = camera.project(rays.reshape(-1, 2)).reshape(*rows.shape, 2).astype(np.float32) - np.float32(0.5)
-        fine = cv2.remap(render, at, None, cv2.INTER_LINEAR)
+        fine = cv2.remap(render, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
         return fine.reshape(posed.height, FINER, posed.width, FINER, 3).mean((1, 3))
 
 
@@ -116,7 +114,7 @@ def describe(shadows: Sequence[Shadow]) -> list[dict[str, float | bool]]:
     ]
 
 
-def measure_demo(demo: Demo) -> tuple[dict, list[Mask]]:
+def measure_demo(demo: Demo) -> tuple[dict[str, Any], list[Mask]]:
     """All photos; the renders without the figure under the same masks, where no shadow is; and the grown masks."""
     scene, masks = demo.scene, demo.object_masks()
     planes = find_planes(scene.points, scene.small(Config().segment_size))
@@ -171,7 +169,8 @@ def measure_completion(demo: Demo, grown: Sequence[Mask]) -> dict[str, float]:
             views, depths, scene.points, AppearanceMap(field), PhotoCompletion(), seed=0
         )
         pairs = [(m.picture, demo.truth[m.name], larger[m.name]) for m in made if m.name in demo.truth]
-        found[name] = round(psnr(*(np.concatenate([p[k][p[2]] for p in pairs]) for k in (0, 1))), 2)
+        made_there, true_there = (np.concatenate([p[k][p[2]] for p in pairs]) for k in (0, 1))
+        found[name] = round(psnr(made_there, true_there), 2)
     return found
 
 
@@ -184,9 +183,10 @@ def main() -> None:
     given = parser.parse_args()
     demo = Demo(given.store, given.metrics, given.clean)
     found, grown = measure_demo(demo)
+    found["provenance"] = {"code": commit()}
+    given.out.write_text(json.dumps(found, indent=1) + "\n")
     if given.completion:
         found["psnr_in_object_and_shadow"] = measure_completion(demo, grown)
-    found["provenance"] = {"code": commit()}
     given.out.write_text(json.dumps(found, indent=1) + "\n")
     print(json.dumps(found, indent=1))
 

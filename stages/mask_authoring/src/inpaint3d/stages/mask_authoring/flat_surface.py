@@ -46,7 +46,8 @@ class PlaneGrid:
         first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
         first /= np.linalg.norm(first)
         foot = middle - (middle @ plane.normal - plane.offset) * plane.normal
-        return cls(plane, foot, np.stack([first, np.cross(up, first)]), up, 2 * reach / side, side)
+        axes = np.stack([first, np.cross(up, first)]).astype(np.float64)
+        return cls(plane, foot, axes, up, 2 * reach / side, side)
 
     def points(self, height: float = 0.0) -> Floats:
         """The cells' middles, lifted off the plane by a height in scene units, [side, side, 3]."""
@@ -57,8 +58,7 @@ class PlaneGrid:
     def look_up(self, values: Floats, points: Floats) -> Floats:
         """Values [side, side] of the cells, bilinear, under points [*n, 3]; 0 beyond the grid."""
         at = ((points - self.origin) @ self.axes.T / self.cell + self.side / 2 - 0.5).astype(np.float32)
-        found = cv2.remap(values.astype(np.float32), at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        return np.asarray(found, np.float64)
+        return _sample(values, at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +84,7 @@ def see_surface(grid: PlaneGrid, views: Sequence[DepthView], masks: Sequence[Boo
         off[np.isinf(off)] = np.nan
         pixels = max(1.0, grid.cell * view.camera.fx / float(np.median(z[inside]))) if inside.any() else 1.0
         picture = cv2.GaussianBlur(linear_from_srgb(view.image()), (0, 0), pixels / 2)
-        seen = cv2.remap(
-            picture, (xy - 0.5).astype(np.float32).reshape(grid.side, grid.side, 2), None, cv2.INTER_LINEAR
-        )
+        seen = _sample(picture, (xy - 0.5).astype(np.float32).reshape(grid.side, grid.side, 2))
         clear = (free & ~(off < -IN_FRONT)).reshape(grid.side, grid.side, 1)
         colours.append(np.where(clear, np.log(np.maximum(seen, DARKEST)), np.nan))
         apart.append(off.reshape(grid.side, grid.side))
@@ -117,6 +115,13 @@ def slice_hull(grid: PlaneGrid, views: Sequence[DepthView], masks: Sequence[Bool
             break
         slices.append(held.reshape(grid.side, grid.side))
     return slices
+
+
+def _sample(picture: NDArray[np.generic], at: NDArray[np.float32]) -> Floats:
+    """A picture [h, w, ...] at (column, row) of pixels' middles [n, m, 2], bilinear; 0 beyond its border."""
+    columns, rows = at[..., 0], at[..., 1]
+    found = cv2.remap(picture.astype(np.float32), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(found, np.float64)
 
 
 def _even_gains(colours: Floats) -> Floats:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from inpaint3d.stages.mask_authoring.flat_surface import Texture
 
@@ -99,6 +99,7 @@ def _solve(dark: Floats, drifting: Floats, pairs: Pairs) -> tuple[Floats, Floats
     """Weights of the columns of `dark` [n, k], and residuals [n], as robust as the Cauchy loss."""
     columns = np.concatenate([dark, drifting, -drifting], 1)
     count, weight = dark.shape[1], pairs.weight
+    found, residual = np.zeros(columns.shape[1]), pairs.difference
     for _ in range(ROUNDS):
         gram = columns.T @ (weight[:, None] * columns)
         right = columns.T @ (weight * pairs.difference)
@@ -128,7 +129,7 @@ def _find_pairs(texture: Texture, usable: Bools, sky: Floats) -> Pairs:
         ring = np.flatnonzero((sky >= low) & (sky < high))
         if len(ring) < PARTNERS:
             continue
-        distance, found = cKDTree(described[ring]).query(described, PARTNERS)
+        distance, found = KDTree(described[ring]).query(described, PARTNERS)
         first.append(np.repeat(np.arange(len(described)), PARTNERS))
         second.append(ring[found].ravel())
         apart.append(distance.ravel())

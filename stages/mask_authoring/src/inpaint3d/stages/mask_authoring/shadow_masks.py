@@ -53,6 +53,7 @@ def report_shadows(
     records: list[PlaneShadow] = []
     for number, shadow in enumerate(shadows):
         path = f"shadows/{number}.png"
+        x, y, z = map(float, shadow.grid.plane.normal)
         write_png(folder / path, draw_shadow(shadow))
         added = {
             view.name: float((show_shadow(shadow, view) & ~mask).mean()) if shadow.found else 0.0
@@ -60,7 +61,7 @@ def report_shadows(
         }
         records.append(
             PlaneShadow(
-                normal=tuple(map(float, shadow.grid.plane.normal)),
+                normal=(x, y, z),
                 offset=shadow.grid.plane.offset,
                 found=shadow.found,
                 darkest=shadow.darkest,
