@@ -42,10 +42,12 @@ class Bench:
     scene: SyntheticScene
     inputs: dict
 
-    def author(self, request: dict | None, config: Config = FAST, dilate: float = 0.0, **more) -> tuple[MaskSet, Path]:
+    def author(
+        self, request: dict | None, config: Config = FAST, dilate: float = 0.0, shadows: bool = False, **more
+    ) -> tuple[MaskSet, Path]:
         inputs = self.inputs | more
         if request is not None:
-            wanted = MaskRequest.model_validate({"mask": request, "dilate": dilate})
+            wanted = MaskRequest.model_validate({"mask": request, "dilate": dilate, "shadows": shadows})
             folder = self.store.private_folder()
             inputs["mask-request"] = self.store.put(folder, "mask-request", MaskRequestArtifact(request=wanted))
         outputs = Outputs(self.store, STAGE)

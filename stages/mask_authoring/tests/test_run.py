@@ -37,6 +37,17 @@ def test_refinement_finds_what_the_source_view_cannot_see(bench):
     assert recall(refined[far], truth).min() > 0.95
 
 
+def test_a_room_without_shadows_gives_the_same_masks_when_shadows_are_asked_for(bench):
+    request = {"kind": "object", "view": "view_002", "points": [middle_of_ball(bench.scene, 2)]}
+    plain, asked = (bench.author(request, shadows=wanted) for wanted in (False, True))
+    assert plain[0].shadows is None
+    assert asked[0].shadows is not None
+    assert not any(shadow.found for shadow in asked[0].shadows)
+    assert asked[0].views == plain[0].views
+    for view in plain[0].views:
+        np.testing.assert_array_equal(read_mask(asked[1] / view.mask), read_mask(plain[1] / view.mask))
+
+
 def test_pixels_may_be_read_on_a_picture_of_another_size(bench):
     x, y = middle_of_ball(bench.scene, 2)
     small = bench.masks({"kind": "object", "view": "view_002", "points": [[x, y]]})

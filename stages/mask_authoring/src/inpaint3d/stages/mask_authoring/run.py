@@ -25,6 +25,7 @@ from inpaint3d.stages.mask_authoring.consistency import Agreement, measure_agree
 from inpaint3d.stages.mask_authoring.requests import example_request
 from inpaint3d.stages.mask_authoring.sam import load_segmenter
 from inpaint3d.stages.mask_authoring.scene import load_scene
+from inpaint3d.stages.mask_authoring.shadow_masks import grow_by_shadows, look_for_shadows, report_shadows
 from inpaint3d.stages.mask_authoring.unseen import find_unseen
 
 TOO_MUCH = 0.95  # of all pixels masked: nothing is left to reconstruct the scene from
@@ -42,9 +43,12 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     request = asked.metadata.request if asked else request_by_default(scene.views)
     authored = author(request.mask, scene, request.dilate, config, ctx)
     check(authored)
-    agreement = (
-        None if authored.primitives else measure_agreement(scene.depth_views, authored.masks, config.depth_tolerance)
-    )
+    shadows = look_for_shadows(scene, authored, config) if request.shadows else None
+    # How well masks agree is a matter of the object: shadows are on the plane, by construction.
+    outlines = authored.masks
+    authored = authored if shadows is None else grow_by_shadows(authored, shadows, scene)
+    check(authored)
+    agreement = None if authored.primitives else measure_agreement(scene.depth_views, outlines, config.depth_tolerance)
     names = Names([v.name for v in scene.views], [v.name for v in scene.truth])
     report(authored, agreement, names.views, ctx)
     folder = outputs.folder("mask-set")
@@ -52,7 +56,10 @@ def run(config: Config, inputs: Inputs, outputs: Outputs, ctx: Context) -> None:
     hidden = None if authored.origin == "outpaint" else find_unseen(scene.depth_views, authored.masks)
     metadata = write_mask_set(folder, authored, names, agreement, hidden)
     hole = config.hole if hidden is not None else "object"
-    outputs.write("mask-set", metadata.model_copy(update={"hole": hole}))
+    more: dict[str, object] = {"hole": hole}
+    if shadows is not None:
+        more["shadows"] = report_shadows(folder, shadows, scene.depth_views, outlines, ctx)
+    outputs.write("mask-set", metadata.model_copy(update=more))
     ctx.progress(1, 1, authored.method, share=authored.mean_share)
 
 

@@ -57,6 +57,24 @@ class ViewOrder(Closed):
     front_to_back: tuple[ObjectName, ...] = Field(description="by median depth; those that the view shows")
 
 
+class PlaneShadow(Closed):
+    """What an object does to the light on a plane that it touches, and what the same search finds by chance.
+
+    `log_likelihood`: how much better its shadow explains differences of brightness between places of one material than
+    no shadow does. Chance: the most that is found where the same object is thought at other places of the plane.
+    """
+
+    normal: Vector3
+    offset: Finite = Field(description="of the plane, scene units: normal . x = offset")
+    found: bool = Field(description="the masks are grown by it")
+    darkest: Share = Field(description="of its light that a place which some view shows is kept from, at most")
+    threshold: Share = Field(description="a place is in the shadow from here on: more than chance finds")
+    log_likelihood: Finite
+    log_likelihood_by_chance: Finite
+    picture: RelativePath = Field(description="shadows/N.png: the plane from above; the light kept from it; the shadow")
+    added: dict[FrameName, Share] = Field(description="by view, the share of the view that the shadow adds to its mask")
+
+
 class MaskSet(Closed):
     """One mask per posed frame, and in the truth cameras for evaluation only (`truth_masks/`)."""
 
@@ -79,3 +97,8 @@ class MaskSet(Closed):
     )
     objects: tuple[NamedMask, ...] = Field(default=(), description="several objects, each with a set of its own")
     occlusion: tuple[ViewOrder, ...] = Field(default=(), description="of several objects, by view")
+    shadows: tuple[PlaneShadow, ...] | None = Field(
+        default=None,
+        description="on planes that the object touches; None where they were not asked for",
+        exclude_if=lambda looked_for: looked_for is None,
+    )

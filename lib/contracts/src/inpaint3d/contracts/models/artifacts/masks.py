@@ -210,6 +210,21 @@ class MaskRequest(Closed):
         Field(discriminator="kind"),
     ]
     dilate: Share = Field(default=0.015, description="grown by this share of the shorter side after closing")
+    shadows: bool = Field(
+        default=False,
+        description="also grown by the shadow that an object casts on planes that it touches, where one is found",
+        exclude_if=lambda asked: not asked,
+    )
+
+    @model_validator(mode="after")
+    def _check_shadows(self) -> Self:
+        casting = any(isinstance(part, ObjectRequest | ImportedRequest) for part in list_parts(self.mask))
+        if self.shadows and not casting:
+            raise ValueError(
+                f"shadows are looked for around an object or imported masks; {self.mask.kind} masks have none: "
+                "leave `shadows` out"
+            )
+        return self
 
 
 def list_parts(request: Closed) -> Iterator[Closed]:
