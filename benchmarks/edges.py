@@ -122,7 +122,8 @@ def measure_edges(run: Run, clean: Path) -> dict[str, Any]:
         plate = read_image(plates.path(records[frame.name].picture))
         mask = read_mask(plates.path(records[frame.name].mask))
         camera = PhotoCamera.from_frame(frame, posed.metadata.lens, photo.shape[1], photo.shape[0])
-        box = tuple(slice(max(0, s.start - MARGIN), s.stop + MARGIN) for s in find_box(mask))
+        rows, columns = (slice(max(0, s.start - MARGIN), s.stop + MARGIN) for s in find_box(mask))
+        box = (rows, columns)
         pictures = {"plate": plate[box]}
         pictures |= {n: render_enlarged(field, camera, box, photo, ~mask) for n, field in fields.items()}
         for edge in find_edges(truth[box], mask[box]):

@@ -9,6 +9,10 @@ from scipy.sparse.linalg import splu
 
 from inpaint3d.scene.image_io import Mask
 
+_ALONG = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
+NEIGHBOURS = [pair[::way] for pair in _ALONG for way in (1, -1)]
+"""Index pairs: the cells of a map with a neighbour below, above, to the right, to the left, and those neighbours."""
+
 
 def span_membrane(
     values: NDArray[np.floating],
@@ -43,8 +47,7 @@ def _sum_differences(
     number = np.full(known.shape, -1)
     number[~known] = np.arange(count)
     degree, links = np.full(known.shape, pull), []
-    along = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
-    for here, there in (pair[::way] for pair in along for way in (1, -1)):
+    for here, there in NEIGHBOURS:
         degree[here] += 1
         asked[here] += held[there]
         both = ~known[here] & ~known[there]

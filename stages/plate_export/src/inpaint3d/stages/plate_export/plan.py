@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from inpaint3d.contracts.models.artifacts.completion import FIRST_PHOTO
 from inpaint3d.scene.image_io import Mask
-from inpaint3d.scene.membrane import span_membrane
+from inpaint3d.scene.membrane import NEIGHBOURS, span_membrane
 from inpaint3d.scene.morphology import grow
 from inpaint3d.scene.reprojection import sample_bilinear
 from inpaint3d.stages.plate_export.lens import Box, Floats
@@ -227,8 +227,7 @@ def bend_between(bend: Floats, step: Colours, sure: Mask, one: Mask, other: Mask
 
     As much on this side as is taken on that one: what is left over would glow far around.
     """
-    along = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
-    for here, there in (pair[::way] for pair in along for way in (1, -1)):
+    for here, there in NEIGHBOURS:
         meet = (one & sure)[here] & (other & sure)[there]
         mean = (step[here] + step[there])[meet] / 2
         bend[here][meet] += mean
