@@ -12,7 +12,7 @@ from inpaint3d.contracts.models.artifacts import Primitive
 from inpaint3d.scene.cameras import Camera, look_at
 from inpaint3d.scene.image_io import write_png
 from inpaint3d.scene.synthetic import synthetic_scene
-from inpaint3d.stages.usd_export.layer import Content, Scene, write_layer
+from inpaint3d.stages.usd_export.layer import Content, Scene, write_layers
 from inpaint3d.stages.usd_export.mesh import Mesh
 from inpaint3d.stages.usd_export.package import ALIGNMENT, write_package
 from inpaint3d.stages.usd_export.soundness import BrokenStageError, refuse_broken
@@ -44,12 +44,12 @@ def written(folder: Path, **changes) -> Path:
         "contents": contents_of(folder), "names": ["a b", "0ä"], "cameras": [camera(0), camera(1)],
         "primitives": [], "hull": None, "points": synthetic_scene(points=5).points, "metres_per_unit": 0.5,
     } | changes  # fmt: skip
-    write_layer(folder / "scene.usdc", Scene(**values))
+    write_layers(folder / "scene.usdc", Scene(**values))
     return folder / "scene.usdc"
 
 
 def packed(folder: Path) -> Path:
-    files = ["scene.usdc", "textures/inpainted.png", "textures/original.png"]
+    files = ["scene.usdc", "inpainted.usdc", "original.usdc", "textures/inpainted.png", "textures/original.png"]
     write_package(folder / "scene.usdz", [(name, folder / name) for name in files])
     return folder / "scene.usdz"
 
@@ -206,6 +206,24 @@ def test_a_stage_with_a_wrong_extent_is_refused(folder):
 def test_a_texture_that_is_missing_or_elsewhere_is_refused(folder, path, said):
     with pytest.raises(BrokenStageError, match=said):
         broken(folder, set_texture(path))
+
+
+def test_a_layer_that_is_missing_is_refused(folder):
+    written(folder)
+    (folder / "original.usdc").unlink()
+    with pytest.raises(BrokenStageError, match=r"\(original\).*a layer does not load.*original\.usdc"):
+        refuse_broken(folder, ["scene.usdc"])
+
+
+def test_a_scene_opens_without_its_heavy_part(folder):
+    """Contents are payloads: cameras, points and mask are there before any mesh is loaded."""
+    layer = written(folder, hull=TRIANGLE)
+    light = Usd.Stage.Open(str(layer), Usd.Stage.LoadNone)
+    assert light.GetPrimAtPath("/Scene/Cameras/Walk")
+    assert light.GetPrimAtPath("/Scene/Mask/Hull")
+    assert not light.GetPrimAtPath("/Scene/Surface")
+    light.Load()
+    assert light.GetPrimAtPath("/Scene/Surface")
 
 
 def test_a_sound_stage_and_its_package_are_not_refused(folder):

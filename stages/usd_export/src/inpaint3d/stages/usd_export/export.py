@@ -22,7 +22,7 @@ from inpaint3d.stages.usd_export.fidelity import HeldOutPhoto, measure_fidelity
 from inpaint3d.stages.usd_export.fusion import Box
 from inpaint3d.stages.usd_export.gltf import write_glb, write_point_cloud
 from inpaint3d.stages.usd_export.guides import visual_hull
-from inpaint3d.stages.usd_export.layer import Content, Scene, write_layer
+from inpaint3d.stages.usd_export.layer import Content, Scene, name_payload, write_layers
 from inpaint3d.stages.usd_export.mesh import Mesh
 from inpaint3d.stages.usd_export.package import write_package
 from inpaint3d.stages.usd_export.rays import Caster
@@ -127,7 +127,7 @@ def write_scene(
     every = np.concatenate([content.mesh.vertices for content in contents])
     low, high = every.min(0), every.max(0)
     hull = _make_hull(mask)
-    write_layer(
+    write_layers(
         folder / LAYER,
         Scene(
             contents,
@@ -140,11 +140,14 @@ def write_scene(
             capture.provenance,
         ),
     )
-    write_package(folder / PACKAGE, [(LAYER, folder / LAYER), *((c.texture, folder / c.texture) for c in contents)])
+    payloads = [name_payload(content) for content in contents]
+    packed = [LAYER, *payloads, *(content.texture for content in contents)]
+    write_package(folder / PACKAGE, [(name, folder / name) for name in packed])
     refuse_broken(folder, [LAYER, PACKAGE])
     findings = validate(folder, [LAYER, PACKAGE])
     (folder / VALIDATION).write_text(json.dumps(as_document(findings), indent=1, sort_keys=True) + "\n")
     return UsdScene(
+        payloads=tuple(payloads),
         textures=tuple(content.texture for content in contents),
         models=tuple(f"{content.name}.glb" for content in contents),
         point_clouds=tuple(f"{content.name}.ply" for content in contents),

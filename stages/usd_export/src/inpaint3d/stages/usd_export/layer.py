@@ -1,4 +1,6 @@
-"""The USD layer: mesh with texture in a variant for each content, cameras, sparse points, and the mask as a guide."""
+"""The USD layers: one for each content, its mesh with a texture; and the scene with a variant that loads each as a
+payload, cameras, sparse points, and the mask as a guide.
+"""
 
 # pxr ships no type stubs for its compiled modules.
 # pyright: reportAttributeAccessIssue=false
@@ -57,10 +59,17 @@ class Scene:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
 
-def write_layer(path: Path, scene: Scene) -> None:
-    """Write the scene as a binary layer; equal scenes give equal bytes."""
-    stage = Usd.Stage.CreateNew(str(path))
+def name_payload(content: Content) -> str:
+    """The file of a content's own layer, beside the scene's."""
+    return f"{content.name}.usdc"
+
+
+def write_layers(path: Path, scene: Scene) -> None:
+    """Write the scene as a binary layer, its contents beside it; equal scenes give equal bytes."""
     metres_per_unit = scene.metres_per_unit or 1.0
+    for content in scene.contents:
+        _write_content(path.with_name(name_payload(content)), content, metres_per_unit)
+    stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
     # USD has no word for it, and its validators ask for a length.
@@ -78,13 +87,23 @@ def write_layer(path: Path, scene: Scene) -> None:
         variants.AddVariant(content.name)
         variants.SetVariantSelection(content.name)
         with variants.GetVariantEditContext():
-            _write_mesh(stage, content)
-            write_collision(stage, f"{ROOT}/Collision", content.pieces)
+            root.GetPayloads().AddPayload(f"./{name_payload(content)}")
     variants.SetVariantSelection(scene.contents[0].name)
     write_cameras(stage, f"{ROOT}/Cameras", scene.names, scene.cameras, metres_per_unit)
     if scene.points is not None and len(scene.points):
         write_points(stage, f"{ROOT}/SparsePoints", scene.points)
     write_mask(stage, f"{ROOT}/Mask", scene.primitives, scene.hull)
+    stage.GetRootLayer().Save()
+
+
+def _write_content(path: Path, content: Content, metres_per_unit: float) -> None:
+    """A layer whose default prim has the surface, and what bodies collide with."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, ROOT).GetPrim())
+    _write_mesh(stage, content)
+    write_collision(stage, f"{ROOT}/Collision", content.pieces)
     stage.GetRootLayer().Save()
 
 

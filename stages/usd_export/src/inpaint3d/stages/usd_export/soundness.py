@@ -20,11 +20,13 @@ def refuse_broken(folder: Path, files: Sequence[str]) -> None:
     """Look at every value of every variant of some files of a folder.
 
     Raises NonFiniteError for a number that is not finite; BrokenStageError for an extent that is not that of the
-    points, for a texture that is missing, and for a path that is absolute or leads out of the folder.
+    points, for a layer or a texture that is missing, and for a path that is absolute or leads out of the folder.
     """
     for name in files:
         stage = Usd.Stage.Open(str(folder / name))
         for variant in _select_variants(stage):
+            if lost := stage.GetCompositionErrors():
+                raise BrokenStageError(f"{name}{variant} a layer does not load: {lost[0]}")
             for prim in stage.Traverse():
                 place = f"{name}{variant}{prim.GetPath()}"
                 _check_values(prim, place)

@@ -74,10 +74,11 @@ class MeshFidelity(Closed):
 
 
 class UsdScene(Closed):
-    """`scene.usdz` (mesh, textures, cameras, masks) and `scene.usdc` with `textures/` beside it."""
+    """`scene.usdz` (mesh, textures, cameras, masks) and `scene.usdc` with its payloads and `textures/` beside it."""
 
     package: RelativePath = "scene.usdz"
     layer: RelativePath = "scene.usdc"
+    payloads: tuple[RelativePath, ...] = Field(default=(), description="each variant's layer, which `layer` loads")
     textures: tuple[RelativePath, ...] = ()
     models: tuple[RelativePath, ...] = Field(default=(), description="each variant's mesh as GLB, its texture inside")
     point_clouds: tuple[RelativePath, ...] = Field(default=(), description="each variant as PLY: x, y, z, normal, sRGB")
