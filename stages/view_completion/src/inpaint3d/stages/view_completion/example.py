@@ -28,6 +28,8 @@ LOG_OFFSET = 0.05
 """What colours are raised by before their logarithm is taken."""
 MAX_LOG_STEP = 0.7
 """A logarithm by which a copy misses what lies around: more is another thing there, and not another light."""
+BLEND_REACH = 10.0
+"""Pixels over which what the rim imposes on copies falls off by a factor of e."""
 GRADIENT_WEIGHT, GRADIENT_WINDOW = 8.0, 9
 """How many times a colour difference a difference in mean gradient counts; side of the square it is the mean over."""
 FULL_COVER = 0.999
@@ -115,9 +117,9 @@ def blend_copies(picture: NDArray[np.float32], origins: NDArray[np.int64], hole:
     """The copies in the hole with the differences that they have where they come from, joined to what lies around.
 
     Poisson blending (Perez, Gangnet and Blake 2003, doi:10.1145/882262.882269) of all pieces at once, in logarithms: a
-    piece from the light that is copied into shade becomes darker by a factor, and seams between pieces close. A patch's
-    side away copies are as they were: the shade around a hole is often that of what was removed. Where the surround is
-    another thing (a rim that the mask left) there is nothing to join, and copies stay as they are.
+    piece from the light that is copied into shade becomes darker by a factor, and seams between pieces close. Far
+    from the rim copies are as they were: the shade around a hole is often that of what was removed. Where the surround
+    is another thing (a rim that the mask left) there is nothing to join, and copies stay as they are.
     """
     light = np.log(picture.astype(np.float64) + LOG_OFFSET)
     height, width = hole.shape
@@ -135,7 +137,7 @@ def blend_copies(picture: NDArray[np.float32], origins: NDArray[np.int64], hole:
         off = light[y, x] - light - np.where(copy, (beside + theirs) / 2, beside)
         edge = ~copy & (np.abs(off).max(-1, keepdims=True) > MAX_LOG_STEP)
         bend -= np.where(inside[..., None] & ~edge, off, 0)
-    change = span_membrane(np.zeros_like(light), ~hole, bend, reach=PATCH)
+    change = span_membrane(np.zeros_like(light), ~hole, bend, reach=BLEND_REACH)
     return np.where(hole[..., None], (np.exp(light + change) - LOG_OFFSET).clip(0, 1), picture).astype(np.float32)
 
 
